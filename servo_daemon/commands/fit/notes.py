@@ -20,6 +20,7 @@ from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.conditioning.angle_scale import angle_hint
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import equivalents
+from servo_daemon.identification.output_error.late_current import SAMPLES
 from servo_daemon.identification.output_error.misfit import unexplained
 from servo_daemon.identification.output_error.other_laws import friction_goes_one_way
 from servo_daemon.identification.procedure.drift import SEGMENT_S, Drift
@@ -101,7 +102,7 @@ def _late(late_s: float, period_s: float) -> str:
         f"current_A is {1e3 * late_s:.2g} ms behind voltage and motion, as a filter of its sensor or of the drive "
         "makes it: R, L and J hold some of that, and their standard deviations. mend:"
     )
-    if late_s < period_s:
+    if late_s < SAMPLES * period_s:
         return f"{text} a sensor that takes its mean over less of the {1e3 * period_s:.3g} ms between two rows"
     return (
         f"{text} a line  # current_late_s: {late_s:.3g}  above the header, or  current_late_s = {late_s:.3g}  under "
