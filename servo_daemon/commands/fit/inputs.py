@@ -107,7 +107,7 @@ def gather(
         captures, validation = (tuple(_driven(c, meaning) for c in cs) for cs in (captures, validation))
         nominal = {k: v for k, v in nominal.items() if k not in ("R", "L")}  # which the motion knows nothing of
         fixed = {k: v for k, v in fixed.items() if k not in ("R", "L")}
-    elif meaning.current_late_s or meaning.current == "mean":
+    elif meaning.current_late_s:
         captures, validation = (tuple(_put_right(c, meaning) for c in cs) for cs in (captures, validation))
     weight = known_weight(drive, captures[0])
     if (searches or "gravity_load" in effects) and weight is not None and "Tg" not in fixed:
@@ -127,12 +127,10 @@ def _driven(capture: Capture, meaning: SignalMeaning) -> Capture:
 
 
 def _put_right(capture: Capture, meaning: SignalMeaning) -> Capture:
-    """With the current that flowed, where the drive holds its voltage and filters what it shows of the current: a mean
-    over the interval before is half of that late."""
+    """With the current that flowed, where the drive holds its voltage and filters what it shows of the current."""
     if capture.voltage_V is None or capture.current_A is None:
         return capture
-    late_s = meaning.current_late_s + (capture.sample_period_s / 2 if meaning.current == "mean" else 0.0)
-    return replace(capture, current_A=unfiltered(capture.time_s, capture.current_A, late_s))
+    return replace(capture, current_A=unfiltered(capture.time_s, capture.current_A, meaning.current_late_s))
 
 
 def _as_meant(captures: Sequence[Capture], drive: DriveConfig) -> tuple[tuple[Capture, ...], list[str]]:

@@ -21,6 +21,7 @@ from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.conditioning.angle_scale import angle_hint
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.lag_like import equivalents
+from servo_daemon.identification.output_error.late_current import SAMPLES
 from servo_daemon.identification.output_error.misfit import unexplained
 from servo_daemon.identification.output_error.other_laws import friction_goes_one_way
 from servo_daemon.identification.procedure.drift import SEGMENT_S, Drift
@@ -56,11 +57,7 @@ def result_notes(
         for name, effects in equivalents(fit.problem).items()
     ]
     if (late_s := fit.current_late_s) is not None:
-        notes.append(
-            f"current_A is {1e3 * late_s:.2g} ms behind voltage and motion, as a filter of its sensor or of the drive "
-            f"makes it: R, L and J hold some of that, and their standard deviations. mend: a line  # current_late_s: "
-            f"{late_s:.3g}  above the header, or  current_late_s = {late_s:.3g}  under [metadata] of a signal map"
-        )
+        notes.append(_late(late_s, fit.problem.sample_period_s))
     if fit.voltage_rows_late and capture is not None:
         notes.append(
             f"voltage_V seems to be written {rows_away(fit.voltage_rows_late)} beside the motion (a drive or a sensor "
@@ -103,6 +100,21 @@ def result_notes(
             f"shows; its standard deviation includes that of a usual motor, with `--fix {given_by}` that of this one"
         )
     return notes
+
+
+def _late(late_s: float, period_s: float) -> str:
+    """What is said of a current that is behind. Within a row only a sensor mends it: a mean over much of one cannot be
+    undone to better than some percent of R and J."""
+    text = (
+        f"current_A is {1e3 * late_s:.2g} ms behind voltage and motion, as a filter of its sensor or of the drive "
+        "makes it: R, L and J hold some of that, and their standard deviations. mend:"
+    )
+    if late_s < SAMPLES * period_s:
+        return f"{text} a sensor that takes its mean over less of the {1e3 * period_s:.3g} ms between two rows"
+    return (
+        f"{text} a line  # current_late_s: {late_s:.3g}  above the header, or  current_late_s = {late_s:.3g}  under "
+        "[metadata] of a signal map"
+    )
 
 
 def _unexplained(name: str, capture: Capture | None) -> str:

@@ -24,7 +24,7 @@ from servo_daemon.samples import F64
 _SPAN_S, _LEAST = 0.01, 4
 #: A current read at the samples is up to half of one behind what flows between them, and a mechanism moves that a
 #: little (of 165 captures without a filter 12 at 50 to 63 % of one).
-_SAMPLES = 0.75
+SAMPLES = 0.75
 #: Within a row a current is late by this share of it at the least, and by so many standard errors (without a filter
 #: 0.00 to 0.02 of one is seen, of means over 0.43 to 0.85 of a row half of that).
 _LEAST_SHARE, _SIGMA = 0.1, 5.0
@@ -43,7 +43,7 @@ def by_late_current(fit: OutputErrorFit, again: Refit) -> tuple[F64, float] | No
     segments = [s for s in problem.segments if s.recording not in problem.blocked]
     late_s = _late_s(problem, max(segments, key=lambda s: len(s.rows))) if segments else 0.0
     values = values_of(fit)
-    if late_s < _SAMPLES * problem.sample_period_s:
+    if late_s < SAMPLES * problem.sample_period_s:
         return _within_a_sample(fit)
     rest = max(values["L"] - late_s * values["R"], 0.05 * values["L"])
     other = again(problem.plant.effects, {**values, "L": rest}, late_s=late_s)

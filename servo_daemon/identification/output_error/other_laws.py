@@ -64,15 +64,16 @@ def with_another_law(fit: OutputErrorFit, again: Refit, *, dry: bool = False) ->
 
 def by_unheld_voltage(fit: OutputErrorFit, again: Refit) -> F64 | None:
     """By how much the coordinates of the free parameters may be off, in one direction, where the voltage's steps are
-    between its samples, as of a supply switched by hand: 1 σ, shape (k,). None: no current is measured, or none answers
-    before its voltage.
+    between its samples, as of a supply switched by hand before a shaft that is held or not measured: 1 σ, shape (k,).
+    None: the current does not answer before its voltage. (One that was put right for a filter does.)
 
     No model makes a current that answers a voltage to come. As far as one does, the voltage's steps come up to a row
     before they are written, each by a share that nothing tells: the truth is between the fit and that to a voltage one
     row earlier.
     """
     problem = fit.problem
-    if problem.plant.drive != "voltage" or "current_A" not in problem.channels or "L" not in problem.free:
+    turns = len(problem.channels) > 1 and any(s.recording not in problem.blocked for s in problem.segments)
+    if turns or problem.plant.drive != "voltage" or "current_A" not in problem.channels or "L" not in problem.free:
         return None
     if not _answers_before(fit):
         return None

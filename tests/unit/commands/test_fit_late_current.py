@@ -67,15 +67,3 @@ def test_a_drive_without_a_voltage_has_no_balance_of_it(tmp_path: Path) -> None:
     add_arguments(parser)
     inputs = gather(parser.parse_args([str(path), "--fix", "K=0.1"]), [path])
     assert inputs.winding is None and not any("winding" in note for note in inputs.notes)
-
-
-def test_a_mean_current_beside_a_held_voltage_is_half_an_interval_late(tmp_path: Path) -> None:
-    path = tmp_path / "ina219.csv"
-    current = np.sin(30.0 * T)
-    rows = "\n".join(f"{t:.3f},1,{i:.9f},{t:.3f}" for t, i in zip(T, current, strict=True))
-    path.write_text(f"# current: mean\ntime_s,voltage_V,current_A,position_rad\n{rows}\n", encoding="utf-8")
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    (found,) = gather(parser.parse_args([str(path)]), [path]).captures
-    assert found.current_A is not None
-    np.testing.assert_allclose(found.current_A[1:-1], np.sin(30.0 * (T + 1e-3))[1:-1], atol=2e-3)
