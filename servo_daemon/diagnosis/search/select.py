@@ -182,7 +182,7 @@ def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...]
     two = tuple(
         replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
         for c in fitted(search.data, current, proposed, effort)
-        if worth_a_name(c.trial, current, search.base)
+        if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
     )
     return search, (*two, *candidates), best_of(tuple(sorted(two, key=lambda c: -c.against.gain)))
 
