@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
@@ -24,14 +25,14 @@ from servo_daemon.diagnosis.trial.compare import Advantage, advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.equivalent_models import equivalent_lags
 from servo_daemon.diagnosis.trial.split import shorter_s
-from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
+from servo_daemon.diagnosis.trial.trial import FIRST_ITERATIONS, Trial, fit_trial
 from servo_daemon.identification.output_error.starts import by_sizes
 from servo_daemon.identification.short_runs import begun_short_runs, has_found_states, with_all_inertia
+from servo_daemon.plant.contribution import contribution
 from servo_daemon.plant.effects import effects_by_name
 
-#: Iterations that every candidate gets, and the share of the best one's gain that earns it the rest (chosen; not
-#: tried).
-_FIRST_ITERATIONS, _KEPT = 5, 0.3
+#: The share of the best one's gain that earns a candidate more than its first iterations (chosen; not tried).
+_KEPT = 0.3
 #: … unless it has gained less than this in V per value: a quarter of what `LEAST_GAIN` asks for.
 _HOPELESS = 0.01
 #: Where fewer of what a fit leaves are independent samples, it may be caught among the initial states that it has from
@@ -111,18 +112,18 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
     def begin(p: Proposal) -> Trial | None:
         known = journal.values(key(p))
         if known is not None:
-            return fit_trial(data, p.effects, known, like=current, max_iterations=_FIRST_ITERATIONS)
+            return fit_trial(data, p.effects, known, like=current, max_iterations=FIRST_ITERATIONS)
         if not effort.allows(p.name):
             return None
         best = None
         for start in (p.start, p.other):
-            trial = fit_trial(data, p.effects, start, like=current, max_iterations=_FIRST_ITERATIONS)
+            trial = fit_trial(data, p.effects, start, like=current, max_iterations=FIRST_ITERATIONS)
             best = _better(best, trial)
             # Worse than the model that it contains: it began in the wrong place.
             if best is not None and gained(best) > 0.0 and not p.far:
                 break
         for start in _by_sizes(data, p) if biased else ():
-            best = _better(best, fit_trial(data, p.effects, start, max_iterations=_FIRST_ITERATIONS))
+            best = _better(best, fit_trial(data, p.effects, start, max_iterations=FIRST_ITERATIONS))
         return best
 
     def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
@@ -143,11 +144,11 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
             trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
             if not trial.solution.converged and gained(trial) >= _KEPT * most:
                 trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
-            if trial.independent < COLOURED and gained(trial) >= _KEPT * most:
-                trial = _better(trial, fit_trial(data, p.effects, trial.values)) or trial
+            if trial.independent < COLOURED and gained(trial) >= _KEPT * most and not (smooth and is_smooth(trial)):
+                trial = _better(trial, fit_trial(data, p.effects, trial.values, rival=trial)) or trial
             equivalent = equivalent_lags(trial.values)
             if equivalent is not None:
-                trial = _better(trial, fit_trial(data, p.effects, equivalent)) or trial
+                trial = _better(trial, fit_trial(data, p.effects, equivalent, rival=trial)) or trial
         return trial
 
     def gained(trial: Trial) -> float:
@@ -155,6 +156,7 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
 
     # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
     biased = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
+    smooth = is_smooth(current)
     with ThreadPoolExecutor(effort.workers) as pool:
         begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
         most = max((gained(t) for _, t in begun), default=0.0)
@@ -194,11 +196,24 @@ def closer(data: Data, trial: Trial) -> Trial:
     `_over_the_gap`.)
     """
     shorter = shorter_s(data.recordings, data.split.segment_s)
-    if shorter is None or trial.independent >= COLOURED or has_found_states(trial.fitted):
+    if shorter is None or trial.independent >= COLOURED or has_found_states(trial.fitted) or is_smooth(trial):
         return trial
     short = fit_trial(data.cut(trial.effects, shorter), trial.effects, trial.values)
-    again = None if short is None else fit_trial(data, trial.effects, short.values)
+    again = None if short is None else fit_trial(data, trial.effects, short.values, rival=trial)
     return _better(trial, again) or trial
+
+
+def is_smooth(trial: Trial) -> bool:
+    """Whether a free run is a smooth function of the parameters: nothing in it sticks, blocks, swings or is turned to
+    one side or the other by where it stands. What its fit leaves is coloured by noise that enters the motor, then."""
+    added = [contribution(name) for name in trial.effects]
+    return not trial.problem.plant.may_stick and not any(
+        c.terms.shaft is not None
+        or c.effect.exact_zero
+        or not ca.SX(c.terms.dry_drop).is_zero()
+        or c.follows(c.signals.theta)
+        for c in added
+    )
 
 
 def _better(one: Trial | None, other: Trial | None) -> Trial | None:

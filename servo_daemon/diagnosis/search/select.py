@@ -37,7 +37,7 @@ from servo_daemon.diagnosis.search.fitting import (
 from servo_daemon.diagnosis.search.pruning import one_offset, pruned
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect
+from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect, white_without
 from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
@@ -98,12 +98,13 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
         try:
             missing = seen_missing(search.data, current)
         except NumericalError:
-            if not search.added:
-                raise
-            break  # the model before could be looked at, this one cannot: it is the last
+            if search.added:
+                break  # the model before could be looked at, this one cannot: it is the last
+            raise
         search, candidates, best = _round(search, missing, _after(progress, share), effort)
-        if best is not None and not search.added and needs_no_effect(search.base, best.trial, whole):
-            best = None
+        if best is not None and not search.added:
+            search.noise_is_left = white_without(search.base, best.trial, whole) is not None
+            best = None if needs_no_effect(search.base, best.trial, whole) else best
         search.rounds.append(tuple(replace(c, taken=c is best) for c in candidates))
         if best is None:
             break
@@ -127,6 +128,7 @@ class _Search:
     added: list[str] = field(default_factory=list)
     rounds: list[tuple[Candidate, ...]] = field(default_factory=list)
     equivalent: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    noise_is_left: bool = False  # so say the data even without an effect
 
     def __post_init__(self) -> None:
         self.current = self.base
@@ -146,7 +148,7 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
     found = _against_the_best_chance(search, seen_enough(worthy, screened) if search.added else worthy)
     if has_found_states(current.fitted):  # what is left is how the load went on within the runs
         return found
-    if found[2] is None and (rest := _thought_little_of(current, screened, missing, proposed)):
+    if found[2] is None and (rest := _thought_little_of(search, screened, missing, proposed)):
         more = tuple(c for c in _worthy(search, missing, rest, effort) if speaks_against_screening(c.against))
         found = _against_the_best_chance(search, (*more, *found[1]))
     promised = _promised(s for s in screened if s.effect in _UNSTABLE)
@@ -182,19 +184,20 @@ def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...]
     two = tuple(
         replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
         for c in fitted(search.data, current, proposed, effort)
-        if worth_a_name(c.trial, current, search.base)
+        if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
     )
     return search, (*two, *candidates), best_of(tuple(sorted(two, key=lambda c: -c.against.gain)))
 
 
 def _thought_little_of(
-    current: Trial, screened: Sequence[ScreenedCandidate], missing: Missing, proposed: Sequence[Proposal]
+    search: _Search, screened: Sequence[ScreenedCandidate], missing: Missing, proposed: Sequence[Proposal]
 ) -> list[Proposal]:
     """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
     linear in what may be far from it, and what it sees depends on what it took for noise. What is late, where no
     current is measured, whatever is left."""
-    late, rest = [*late_without_current(current), *open_at_zero(current)], tuple[Proposal, ...]()
-    if _promised(screened) > _PROMISING or current.independent < COLOURED:
+    current, rest = search.current, tuple[Proposal, ...]()
+    late = [*late_without_current(current), *open_at_zero(current)]
+    if _promised(screened) > _PROMISING or (current.independent < COLOURED and not search.noise_is_left):
         rest = _whatever(current, screened, missing)
     others = [p for p in rest if p.name not in {q.name for q in late}]
     return [p for p in (*others, *late) if p.name not in {q.name for q in proposed}]
@@ -277,11 +280,7 @@ def _kept_promise(found: _Found, before: Missing, promised: float) -> bool:
 
 def _with_shorter_runs(had: _Found, proposed: Sequence[Proposal], effort: Effort) -> _Found:
     """The same candidates over shorter free runs, where that lets one of them convince, and, if one did before, leaves
-    less missing; else as it was.
-
-    Args:
-        had: over the runs as they are.
-    """
+    less missing; else what was had over the runs as they are."""
     search, _, before = had
     segment_s = shorter_s(search.data.recordings, search.data.split.segment_s)
     if segment_s is None:

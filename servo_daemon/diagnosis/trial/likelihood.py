@@ -32,13 +32,22 @@ def needs_no_effect(without: Trial, rich: Trial, whole: Whole) -> bool:
     Args:
         whole: fits to all the data.
     """
-    if plainly_worse(without, rich):
+    simple = white_without(without, rich, whole)
+    extended = None if simple is None else whole(rich, rich.values)
+    if simple is None or extended is None:
         return False
-    simple = whole(without, without.values)
-    if simple is None or not simple.white:
-        return False
-    extended = whole(rich, rich.values)
-    return extended is not None and extended.white and not far_likelier(extended, simple)
+    return extended.white and not far_likelier(extended, simple)
+
+
+def white_without(without: Trial, rich: Trial, whole: Whole) -> OutputErrorFit | None:
+    """The fit of a model to all the data, if they are white with it; None: not, or it is not asked, because free runs
+    are plainly better under a richer one.
+
+    Args:
+        whole: see `needs_no_effect`.
+    """
+    simple = None if plainly_worse(without, rich) else whole(without, without.values)
+    return simple if simple is not None and simple.white else None
 
 
 def plainly_worse(without: Trial, rich: Trial) -> bool:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from servo_daemon.identification.output_error.diverged_segments import ENOUGH, b
 from servo_daemon.identification.output_error.problem.linearisation import without_derivatives
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.setup import carrying
-from servo_daemon.identification.output_error.solver.solver import Solution, solve
+from servo_daemon.identification.output_error.solver.solver import Point, Solution, solve
 from servo_daemon.identification.output_error.starts import starting_points
 from servo_daemon.identification.short_runs.initial_states import has_found_states, with_found_states
 from servo_daemon.kalman.gaussian import natural_values, to_coordinate
@@ -28,6 +29,8 @@ from servo_daemon.samples import F64
 
 #: Of a fit: from each of several starts, and from the best of these (chosen; not tried).
 _START_ITERATIONS, _MOST_ITERATIONS = 3, 25
+#: Iterations that every candidate gets, and every fit that must beat another of the same model (chosen; not tried).
+FIRST_ITERATIONS = 5
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.
 MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
@@ -120,6 +123,7 @@ def fit_trial(
     like: Trial | None = None,
     max_iterations: int = _MOST_ITERATIONS,
     careful: bool = False,
+    rival: Trial | None = None,
 ) -> Trial | None:
     """Fit from one start; None where the model cannot be simulated from there.
 
@@ -128,6 +132,7 @@ def fit_trial(
         parts: what is fitted.
         like: a trial over the same parts, whose initial states are a good start.
         careful: go on until the end is sharp, along narrow valleys, too: for the model that the others must beat.
+        rival: a fit of the same model to the same runs. Given up where this one is still worse after a few iterations.
 
     Raises:
         BadInputError: see `make_problem`.
@@ -146,7 +151,7 @@ def fit_trial(
     if max_iterations >= _MOST_ITERATIONS:  # else it is only looked at
         fitted = with_found_states(fitted, values)
     start_at = fitted.start({p.name: to_coordinate(p, values[p.name]) for p in problem.plant.parameters})
-    found = _solved(fitted, start_at, max_iterations, careful)
+    found = _solved(fitted, start_at, max_iterations, careful, rival)
     if found is None:
         return None
     point = replace(found.point, linearisation=without_derivatives(found.point.linearisation))
@@ -166,18 +171,25 @@ def _lifted(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
     return {name: low for name, low in least.items() if name in problem.free and values[name] < low}
 
 
-def _solved(problem: Problem, start: F64, max_iterations: int, careful: bool) -> Solution | None:
+def _solved(problem: Problem, start: F64, max_iterations: int, careful: bool, rival: Trial | None) -> Solution | None:
     """The fit; one that goes to its end once more if some of its runs had only begun in the wrong place."""
 
     def solution(unknowns: F64) -> Solution | None:
         enough = (0.02 if careful else 1.0) * ENOUGH * float(problem.counts.sum())
-        return solve(problem, unknowns, max_iterations=max_iterations, enough=enough, curved=careful)
+        give_up = None if rival is None else _still_worse(rival)
+        return solve(problem, unknowns, max_iterations=max_iterations, give_up=give_up, enough=enough, curved=careful)
 
     found = solution(start)
     if found is None or max_iterations < _MOST_ITERATIONS or (again := begun_again(problem, found)) is None:
         return found
     other = solution(again)
     return found if other is None or other.point.value > found.point.value else other
+
+
+def _still_worse(rival: Trial) -> Callable[[Point], bool]:
+    """Whether a fit has had its chance and is worse than another one."""
+    number = count(1)
+    return lambda point: next(number) >= FIRST_ITERATIONS and point.value > rival.solution.point.value
 
 
 def first_trial(data: Data, effects: tuple[str, ...], nominal: Mapping[str, float]) -> Trial:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
+from servo_daemon.diagnosis.search import select
 from servo_daemon.diagnosis.search.fitting import Candidate, not_alone, seen_enough
 from servo_daemon.diagnosis.trial.compare import Advantage
 
@@ -59,3 +61,31 @@ def test_others_are_tried_beside_what_gains_much_in_the_mean() -> None:
     assert not_alone((much, LOAD), LOAD, SEEN) is much
     convincing = Candidate("gravity_load", TRIAL, Advantage(0.5, 0.3, 0.9, -200.0))
     assert not_alone((convincing, LOAD), LOAD, SEEN) is None
+
+
+def test_beside_another_no_effect_has_a_name_that_would_be_too_small_for_one_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A friction by direction of 2 µN·m made a friction by load convincing that is not so by itself (an XL330)."""
+
+    def trial(nrmse: float, **values: float) -> Any:
+        return SimpleNamespace(
+            values=values, free=8, choice=SimpleNamespace(nrmse=nrmse), problem=SimpleNamespace(sample_period_s=5e-3)
+        )
+
+    convincing = Advantage(0.62, 0.023, 0.88, -235.0)
+    nothing = trial(0.02, Tc=2.2e-6, Tc_neg=2.6e-6, B_neg=1e-6)
+    second = [Candidate("asymmetric_friction", nothing, convincing)]
+    size: Any = SimpleNamespace(size={"torque": 0.3, "voltage": 3.0})
+    monkeypatch.setattr(select, "seen_missing", lambda data, current: size)
+    monkeypatch.setattr(select, "screen", lambda current, missing: ())
+    monkeypatch.setattr(select, "_whatever", lambda *_, **__: ())
+    monkeypatch.setattr(select, "fitted", lambda *_: tuple(second))
+    monkeypatch.setattr(select, "advantage", lambda simple, rich: convincing)
+    data: Any = SimpleNamespace(fixed={})
+    search = select._Search(data, trial(0.3))
+    first = Candidate("load_dependent_friction", trial(0.023, mu=0.4), Advantage(0.41, -0.23, 0.77, -181.0))
+    effort: Any = None
+    assert select._beside(search, first, (first,), effort)[2] is None
+    second[0] = Candidate("asymmetric_friction", trial(0.02, Tc=0.02, Tc_neg=0.01, B_neg=1e-6), convincing)
+    assert select._beside(search, first, (first,), effort)[2] is not None
