@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -35,9 +36,10 @@ _CORE_PARAMETERS: dict[Drive, tuple[str, ...]] = {
 #: Samples further apart than this, s: dry friction that turns round between two of them is not found by a line. (With
 #: 100 a second J of an RE 40 is 0.9 % and 7 standard deviations off, with 200 nothing.)
 _LONG_S = 0.007
-#: Of such samples a free run makes so many pieces each (with 8 the paper's L was 1.2 % off at 50 Hz, with 16 0.03 %),
-#: and a filter, whose step is compiled with its parts, so many parts (a friction's speed is ten times as exact).
-_PIECES, _PARTS = 16, 4
+#: A free run cuts such samples into pieces of this length at most, s (with 5 ms an RE 40 at 20 Hz ended in a minimum
+#: 224 standard deviations away; shorter ones cost as much again: docs/benchmarks.md), and a filter's step, which is
+#: compiled with its parts, has so many (a friction's speed is ten times as exact).
+_PIECE_S, _PARTS = 0.0025, 4
 
 
 @dataclass(frozen=True, eq=False)  # `build_plant` makes each model once: it is its own key in caches
@@ -85,7 +87,7 @@ class PlantModel:
         """For free runs over samples so far apart. (What a late sensor keeps is counted in samples.)"""
         if any(s in LATE for s in self.states):
             return self.for_filter_of(period_s)
-        return _in_pieces(self, _PIECES if self._turns_within(period_s) else 1)
+        return _in_pieces(self, math.ceil(period_s / _PIECE_S) if self._turns_within(period_s) else 1)
 
     def for_filter_of(self, period_s: float) -> PlantModel:
         """For a filter over samples so far apart."""

@@ -67,8 +67,7 @@ class StepBuilder:
     parts: int = 1
 
     def terms(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX, i_square: ca.SX | None = None) -> list[Terms]:
-        n = self.core_states
-        voltage = self.drive == "voltage"
+        n, voltage = self.core_states, self.drive == "voltage"
         i = x[0] if voltage else (u if self.drive == "current" else ca.SX(0))
         signals = Signals(
             t=t,
@@ -93,8 +92,7 @@ class StepBuilder:
     def _parts(self, x: ca.SX, u: ca.SX, t: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
         parts = max(self.parts, *(effect.substeps for effect in self.effects), 1)
         if parts == 1:
-            after, gain, _ = self._substep(x, u, t, h)
-            return after, gain
+            return self._substep(x, u, t, h)[:2]
         after, whole, length = x, ca.SX.zeros(len(self.states), 2), h / parts
         substep = self._substep_function()
         for k in range(parts):

@@ -12,7 +12,7 @@ import pytest
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
 from servo_daemon.samples import make_block
 from tests.command_line import run_command
-from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, generate
+from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, generate, typical
 from tests.recovery.generator.sensors import filtered_speed
 
 #: Time constant of the sensor's filter, s.
@@ -96,3 +96,14 @@ def test_a_voltage_rows_early_without_a_current(
     for expression, value in true.items():
         assert abs(found[expression]["value"] - value) < 4.0 * found[expression]["std"]
     assert found["K/(B R + K²)"]["std"] < 0.02 * true["K/(B R + K²)"]
+
+
+def test_dry_friction_that_hides_a_late_voltage() -> None:
+    """The linear motor says of neither that it explains much; the gain holds both."""
+    effects = typical("coulomb_friction", RE40, 0.15, seconds=10.0)
+    made = generate(RE40, Scenario("prbs", seconds=10.0, rate_hz=200.0, effects=effects, seed=990073))
+    block = make_block(made.time_s, voltage_V=np.roll(made.voltage_V, 1), position_rad=made.position_rad)
+    fit = fit_output_error([Recording("c", block)], (), FitOptions())
+    gain = fit.combinations[0]
+    assert gain.expression == "K/(B R + K²)"
+    assert abs(gain.value - RE40.K / (RE40.B * RE40.R + RE40.K**2)) < 4.0 * gain.std

@@ -124,6 +124,11 @@ def bounded_move(moved: F64) -> F64:
     return np.clip(moved, -_AT_MOST, _AT_MOST)
 
 
+def is_cut_off(moved: F64) -> bool:
+    """Whether a coordinate would have moved further: then those that make up for each other no longer do."""
+    return bool(np.max(np.abs(moved), initial=0.0) >= _AT_MOST)
+
+
 def _poles(q: Mapping[str, float]) -> tuple[float, float] | None:
     """Time constants, s, the faster first; None where they are no real ones."""
     braking = q["B"] * q["R"] + q["K"] ** 2

@@ -27,6 +27,7 @@ from servo_daemon.identification.output_error.lag_like import (
     Refit,
     bounded_move,
     by_other_lags,
+    is_cut_off,
     moved_to,
     values_of,
     with_more_inductance,
@@ -77,14 +78,19 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     likelier = None if square else _likelier(fit)
     names = problem.parameter_of_column
     inside, lag = _discrepancy(fit, scale, square, likelier), by_other_lags(fit, again)
-    others, rows_late = _others(fit, again, square, likelier)
+    law, moved = _others(fit, again, square, likelier)
+    far = [] if moved is None else [moved[0]]
+    if law is not None and is_cut_off(moved_to(law, fit)):
+        far.append(law)
+    elif law is not None:
+        inside = np.column_stack([inside, moved_to(law, fit)])
     filtered = by_late_current(fit, again) if square else None
     inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
     unheld = by_unheld_voltage(fit, again) if square else None
     inside = inside if unheld is None else np.column_stack([inside, unheld])
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
-    added = np.column_stack([added, *(moved_to(other, fit) for other in others)])
+    added = np.column_stack([added, *(moved_to(other, fit) for other in far)])
     # (Not in the answer to the voltage: to that step it is what was seen, whatever rubs.)
     friction = by_friction_one_way(fit, again)
     added = added if friction is None else np.column_stack([added, friction])
@@ -106,7 +112,7 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer = answer_between(answer, values_of(fit), there)
     if slower is not None:
         answer = answer_between(answer, values_of(fit), values_of(slower), SHARE)
-    for other in others:
+    for other in far:  # (of which the coordinates' moves, cut off or large, do not give it)
         answer = answer_between(answer, values_of(fit), values_of(other))
     return replace(
         fit,
@@ -116,19 +122,20 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer=answer,
         combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
         current_late_s=None if filtered is None else filtered[1],
-        voltage_rows_late=rows_late,
+        voltage_rows_late=0 if moved is None else moved[1],
     )
 
 
-def _others(fit: OutputErrorFit, again: Refit, square: float, likelier: F64 | None) -> tuple[list[OutputErrorFit], int]:
-    """Motors with another law, and beside it with the voltage of other rows, that explain more; and by how many rows it
-    is late."""
+def _others(
+    fit: OutputErrorFit, again: Refit, square: float, likelier: F64 | None
+) -> tuple[OutputErrorFit | None, tuple[OutputErrorFit, int] | None]:
+    """The motor with another law, and beside that with the voltage of other rows (`with_other_rows`), which explain
+    more."""
     law = None
     # Noise that enters the motor passes for dry friction and the other way round; drag explains it by chance.
     if square or likelier is not None:
         law = with_another_law(fit, again, dry=not square)
-    moved = with_other_rows(law or fit, again, unexplained=square > 0.0)
-    return [one for one in (law, moved and moved[0]) if one is not None], moved[1] if moved else 0
+    return law, with_other_rows(law or fit, again, unexplained=square > 0.0)
 
 
 def _discrepancy(fit: OutputErrorFit, scale: F64, square: float, likelier: F64 | None) -> F64:

@@ -17,7 +17,7 @@ from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
 from servo_daemon.numerics import least_squares
 from servo_daemon.samples import F64
 
-#: A winding's lag, in samples, from which a search with other rows begins.
+#: A winding's lag, in samples, that is as good as none, and from which a search with other rows begins.
 _FAST = 0.5
 #: A row explains more by so much a sample (noise of the voltage by chance 0.04).
 _SHARE = 0.05
@@ -42,13 +42,22 @@ def with_other_rows(fit: OutputErrorFit, again: Refit, *, unexplained: bool) -> 
     clearly, found = _SHARE * float(fit.problem.counts.sum()), fit.plain.point.value
     best: tuple[OutputErrorFit, int] | None = None
     waits = _waits(fit.problem)
-    for way in (-1,) if waits else (1, -1) if unexplained else ():
-        for late in range(way * max(waits, 1), way * (_ROWS + 1), way):
-            other = _with_rows(fit, again, late)
-            if other is None or (-late != waits and other.solution.point.value > found - clearly):
-                break
-            best, found = (other, late), other.solution.point.value
+    if not (waits or unexplained):
+        return None
+    # A lag is no late voltage, which would have shortened it; and an early one makes a lag.
+    way = -1 if waits or _lag(fit) > _FAST else 1
+    for late in range(way * max(waits, 1), way * (_ROWS + 1), way):
+        other = _with_rows(fit, again, late)
+        if other is None or (-late != waits and other.solution.point.value > found - clearly):
+            break
+        best, found = (other, late), other.solution.point.value
     return best
+
+
+def _lag(fit: OutputErrorFit) -> float:
+    """The winding's, in samples."""
+    values = values_of(fit)
+    return values["L"] / values["R"] / fit.problem.sample_period_s
 
 
 def _with_rows(fit: OutputErrorFit, again: Refit, rows_late: int) -> OutputErrorFit | None:

@@ -41,7 +41,7 @@ def test_long_samples_are_as_exact_as_short_ones(monkeypatch: pytest.MonkeyPatch
         return float(np.sqrt(np.mean((free_run(plant, CHANNELS, Q, np.zeros(3), rows)[0][:, 1] - exact) ** 2)))
 
     once = error(PLANT)
-    assert error(PLANT.for_runs_of(period_s)) < 0.05 * once
+    assert error(PLANT.for_runs_of(period_s)) < 0.1 * once
     assert error(PLANT.for_filter_of(period_s)) < 0.3 * once
 
 
