@@ -17,7 +17,7 @@ from servo_daemon.commands.fit.document import parameter_row
 from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.fit.text import parameter_line
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.identification.output_error.other_laws import goes_one_way
+from servo_daemon.identification.output_error.discrepancy.other_laws import goes_one_way
 from servo_daemon.identification.output_error.precision.combinations import Combination, determined_combinations
 from servo_daemon.identification.output_error.precision.information import Information
 from servo_daemon.identification.output_error.precision.parameters import with_nulls_of

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.diagnosis.diagnose import diagnose
 from servo_daemon.identification.output_error import FitOptions, Recording, fit_output_error
-from servo_daemon.identification.output_error.lag_like import equivalents
+from servo_daemon.identification.output_error.discrepancy.lag_like import equivalents
 from servo_daemon.samples import F64, SampleBlock, make_block
 from tests.recovery.generator import GEAR_MOTOR, PAPER, Motor, Scenario, generate
 from tests.recovery.generator.sensors import filtered_speed, speed_over_window

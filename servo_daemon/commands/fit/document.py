@@ -10,8 +10,8 @@ import numpy as np
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.identification import Identification, Validation
 from servo_daemon.identification.output_error import FittedParameter, OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import equivalents
-from servo_daemon.identification.output_error.misfit import unexplained
+from servo_daemon.identification.output_error.discrepancy.lag_like import equivalents
+from servo_daemon.identification.output_error.discrepancy.misfit import unexplained
 from servo_daemon.identification.output_error.precision.combinations import Combination
 from servo_daemon.identification.output_error.precision.information import NullDirection
 from servo_daemon.identification.output_error.problem.score import Score

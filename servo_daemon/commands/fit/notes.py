@@ -20,10 +20,10 @@ from servo_daemon.captures.meaning.rows import rows_away
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.conditioning.angle_scale import angle_hint
 from servo_daemon.identification.output_error import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import equivalents
-from servo_daemon.identification.output_error.late_current import SAMPLES
-from servo_daemon.identification.output_error.misfit import unexplained
-from servo_daemon.identification.output_error.other_laws import friction_goes_one_way
+from servo_daemon.identification.output_error.discrepancy.lag_like import equivalents
+from servo_daemon.identification.output_error.discrepancy.late_current import SAMPLES
+from servo_daemon.identification.output_error.discrepancy.misfit import unexplained
+from servo_daemon.identification.output_error.discrepancy.other_laws import friction_goes_one_way
 from servo_daemon.identification.procedure.drift import SEGMENT_S, Drift
 from servo_daemon.parameters import spaced
 from servo_daemon.signal_meaning import SignalMeaning

@@ -11,8 +11,8 @@ import numpy as np
 
 from servo_daemon.conditioning.current_moment import unfiltered
 from servo_daemon.errors import BadInputError, NumericalError
+from servo_daemon.identification.output_error.discrepancy.misfit import with_misfit
 from servo_daemon.identification.output_error.fitted import FitOptions, OutputErrorFit
-from servo_daemon.identification.output_error.misfit import with_misfit
 from servo_daemon.identification.output_error.outcome import conclude
 from servo_daemon.identification.output_error.precision.combinations import determined_combinations, voltage_answer
 from servo_daemon.identification.output_error.precision.information import information

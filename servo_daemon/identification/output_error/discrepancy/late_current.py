@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from servo_daemon.identification.output_error.discrepancy.lag_like import Refit, bounded_move, moved_to, values_of
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, bounded_move, moved_to, values_of
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
 from servo_daemon.numerics import least_squares, triangular_means, turning_over

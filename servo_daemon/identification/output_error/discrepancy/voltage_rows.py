@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from servo_daemon.identification.output_error.discrepancy.lag_like import Refit, leaves_the_trace_of_l, values_of
+from servo_daemon.identification.output_error.discrepancy.other_laws import held_of
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import Refit, leaves_the_trace_of_l, values_of
-from servo_daemon.identification.output_error.other_laws import held_of
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
 from servo_daemon.numerics import least_squares

@@ -14,14 +14,14 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 
-from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import (
+from servo_daemon.identification.output_error.discrepancy.lag_like import (
     SHARE,
     Refit,
     halved_lag,
     moved_to,
     values_of,
 )
+from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.noise.noise import WORTH
 from servo_daemon.identification.output_error.problem.rollout import INPUT, STEP
 from servo_daemon.numerics import least_squares, squares_left

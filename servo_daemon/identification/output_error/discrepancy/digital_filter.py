@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from servo_daemon.identification.output_error.discrepancy.lag_like import SHARE, leaves_the_trace_of_l, values_of
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import SHARE, leaves_the_trace_of_l, values_of
 from servo_daemon.identification.output_error.noise.noise import WORTH
 from servo_daemon.samples import F64
 

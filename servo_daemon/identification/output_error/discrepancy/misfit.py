@@ -20,9 +20,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from servo_daemon.identification.output_error.digital_filter import by_filter_within_a_sample
-from servo_daemon.identification.output_error.fitted import OutputErrorFit
-from servo_daemon.identification.output_error.lag_like import (
+from servo_daemon.identification.output_error.discrepancy.digital_filter import by_filter_within_a_sample
+from servo_daemon.identification.output_error.discrepancy.lag_like import (
     SHARE,
     Refit,
     bounded_move,
@@ -32,11 +31,17 @@ from servo_daemon.identification.output_error.lag_like import (
     values_of,
     with_more_inductance,
 )
-from servo_daemon.identification.output_error.late_current import by_late_current
+from servo_daemon.identification.output_error.discrepancy.late_current import by_late_current
+from servo_daemon.identification.output_error.discrepancy.other_laws import (
+    by_friction_one_way,
+    by_unheld_voltage,
+    with_another_law,
+)
+from servo_daemon.identification.output_error.discrepancy.voltage_rows import with_other_rows
+from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.noise.noise import WORTH, resolution
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
-from servo_daemon.identification.output_error.other_laws import by_friction_one_way, by_unheld_voltage, with_another_law
 from servo_daemon.identification.output_error.precision.combinations import (
     answer_between,
     determined_combinations,
@@ -44,7 +49,6 @@ from servo_daemon.identification.output_error.precision.combinations import (
 )
 from servo_daemon.identification.output_error.precision.information import information
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter, at_bounds, correlation_of
-from servo_daemon.identification.output_error.voltage_rows import with_other_rows
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.samples import F64
 
