@@ -48,8 +48,8 @@ NAMED: Sequence[Named] = (
     Named(
         "engine ignored: the tracker does not ask",
         "servo_daemon/tracking/plant_tracker.py",
-        'if settings.engine == "filterpy":',
-        'if settings.engine == "nothing":',
+        'if self.settings.engine != "filterpy":',
+        "if True:",
         CONFIGURED,
     ),
     Named(
