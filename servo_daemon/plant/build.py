@@ -86,7 +86,7 @@ class PlantModel:
     def for_runs_of(self, period_s: float) -> PlantModel:
         """For free runs over samples so far apart. (What a late sensor keeps is counted in samples.)"""
         if any(s in LATE for s in self.states):
-            return self.for_filter_of(period_s)
+            return self
         return _in_pieces(self, math.ceil(period_s / _PIECE_S) if self._turns_within(period_s) else 1)
 
     def for_filter_of(self, period_s: float) -> PlantModel:
