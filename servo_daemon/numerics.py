@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servo_daemon.samples import F64
 
@@ -88,6 +89,20 @@ def least_squares(A: F64, y: F64) -> tuple[F64, int]:
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     found, _, rank, _ = np.linalg.lstsq(A / size, y, rcond=1e-9)
     return np.asarray(found / size), int(rank)
+
+
+def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where flags, shape (n,), are set in a row: first and one beyond the last of each run."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def in_long_runs(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """Those of the flags, shape (n,), that are set in a row of at least so many."""
+    out = np.zeros(len(flags), dtype=np.bool_)
+    for begin, end in runs_of(flags):
+        out[begin:end] = end - begin >= least
+    return out
 
 
 def squares_left(A: F64, y: F64) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from servo_daemon.numerics import runs_of
 from servo_daemon.samples import F64
 
 #: Largest error of rounding, as a part of the smallest distance between two x.
@@ -38,8 +39,7 @@ def encode(values: F64, *, ordered: bool = False) -> dict[str, Any]:
     if wide:
         document["wide"] = True
     if not known.all():
-        padded = np.concatenate(([True], known, [True]))
-        document["gaps"] = np.flatnonzero(np.diff(padded.astype(np.int8))).tolist()
+        document["gaps"] = [edge for run in runs_of(~known) for edge in run]
     return document
 
 

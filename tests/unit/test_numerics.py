@@ -7,10 +7,12 @@ import pytest
 
 from servo_daemon.numerics import (
     STD_OF_MEDIAN,
+    in_long_runs,
     inverse_of_information,
     is_definite,
     least_squares,
     median,
+    runs_of,
     sample_period,
     score_and_information,
     upper_median,
@@ -95,3 +97,12 @@ def test_a_matrix_is_definite_beyond_its_least_eigenvalue_and_no_further() -> No
     assert not is_definite(symmetric, 1.001 * least)
     assert not is_definite(-symmetric)
     assert (symmetric == kept).all()
+
+
+def test_runs_are_found_at_both_ends_and_short_ones_left_out() -> None:
+    flags = np.array([1, 1, 0, 1, 0, 0, 1, 1, 1], dtype=bool)
+    assert runs_of(flags) == [(0, 2), (3, 4), (6, 9)]
+    assert runs_of(~flags) == [(2, 3), (4, 6)]
+    assert runs_of(np.zeros(0, dtype=bool)) == []
+    assert in_long_runs(flags, 2).tolist() == [True, True, False, False, False, False, True, True, True]
+    assert not in_long_runs(flags, 4).any()

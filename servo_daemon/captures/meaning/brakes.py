@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_daemon.captures.capture.model import Capture
 from servo_daemon.captures.meaning.finding import Finding
 from servo_daemon.captures.meaning.windows import FEWEST, travelled
-from servo_daemon.numerics import least_squares
+from servo_daemon.numerics import least_squares, runs_of
 from servo_daemon.samples import F64
 
 #: A shaft stands below this share of its highest speed; of a stretch so long at the least, s, without so many samples
@@ -50,7 +50,7 @@ def brake_findings(capture: Capture) -> list[Finding]:
     at = _stretches(stands & large & too_little, edges, capture)
     if not at.any():
         return []
-    pieces = np.count_nonzero(np.diff(at.astype(int)) == 1) + int(at[0])
+    pieces = len(runs_of(at))
     text = (
         f"the shaft stands {pieces} time{'s' if pieces > 1 else ''} with less current than the load takes that shows "
         f"while it moves: a brake, or a gear that locks itself. These {np.count_nonzero(at):,} of {len(at):,} samples "
@@ -76,8 +76,7 @@ def _law(speed: F64, current: F64, angle: F64, gained: F64, moves: NDArray[np.bo
 def _stretches(windows: NDArray[np.bool_], edges: NDArray[np.intp], capture: Capture) -> NDArray[np.bool_]:
     """The samples of windows in a row that last long enough, without those at their ends, shape (n,)."""
     out = np.zeros(len(capture), dtype=bool)
-    change = np.flatnonzero(np.diff(np.concatenate([[0], windows.astype(int), [0]])))
-    for first, last in zip(change[::2], change[1::2], strict=True):
+    for first, last in runs_of(windows):
         a, b = int(edges[first]), int(edges[last])
         if capture.time_s[b] - capture.time_s[a] >= _LASTING_S:
             out[a + _EDGE * (a > 0) : b - _EDGE] = True

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import in_long_runs
 from servo_daemon.samples import F64
 
 #: Butterworth order of the published method.
@@ -169,10 +170,4 @@ def noise_limit_Hz(signal: F64, rate_Hz: float, order: int) -> float:
 def rests(speed: F64, threshold: float, shortest: int) -> NDArray[np.bool_]:
     """Samples, shape (n,), of stretches of at least `shortest` samples in which the speed stays below the threshold:
     there dry friction is no known torque."""
-    still = np.concatenate([[False], np.abs(speed) < threshold, [False]])
-    edges = np.flatnonzero(np.diff(still.astype(np.int8)))
-    out = np.zeros(len(speed), dtype=np.bool_)
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - begin >= shortest:
-            out[begin:end] = True
-    return out
+    return in_long_runs(np.abs(speed) < threshold, shortest)

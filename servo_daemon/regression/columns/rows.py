@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_daemon.numerics import runs_of
 from servo_daemon.plant.build import PlantModel
 from servo_daemon.regression.columns.of_model import ModelColumns
 from servo_daemon.regression.columns.terms import columns_of, shaft_signals
@@ -166,9 +167,8 @@ def lasting(flags: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     seen."""
     if not np.count_nonzero(flags):
         return flags
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     out = flags.copy()
-    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for a, b in runs_of(flags):
         out[a:b] = b - a >= least or a == 0 or b == len(flags)
     return out
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_daemon.kalman.measurement import GATE
-from servo_daemon.numerics import STD_OF_MEDIAN
+from servo_daemon.numerics import STD_OF_MEDIAN, in_long_runs
 from servo_daemon.samples import F64
 
 #: A residual that stands out from its neighbours by more than the filter's gate is suspect, and so is only one that
@@ -69,7 +69,7 @@ def _isolated(differences: Sequence[F64], scale: float) -> list[NDArray[np.bool_
     if scale == 0.0:
         return [np.zeros(len(d), dtype=bool) for d in differences]
     suspects = [np.abs(d) > GATE * scale for d in differences]
-    return [s & ~_long_runs(s) if s.any() else s for s in suspects]
+    return [s & ~in_long_runs(s, LONGEST_GLITCH + 1) if s.any() else s for s in suspects]
 
 
 def _from_neighbours(residuals: Sequence[F64]) -> list[F64]:
@@ -90,13 +90,3 @@ def _median(nine: list[F64]) -> F64:
     for low, high in _EXCHANGES:
         nine[low], nine[high] = np.minimum(nine[low], nine[high]), np.maximum(nine[low], nine[high])
     return nine[4]
-
-
-def _long_runs(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where the mask holds for more than `LONGEST_GLITCH` samples in a row."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    out = np.zeros_like(mask)
-    for begin, end in edges.reshape(-1, 2):
-        if end - begin > LONGEST_GLITCH:
-            out[begin:end] = True
-    return out
