@@ -36,9 +36,13 @@ from servo_daemon.tracking.plan.settings import Message
 #: Samples of a round, in whole blocks: half a second of a drive at a kilohertz. Between rounds it is seen whether the
 #: worker keeps up, and what was found is published.
 _ROUND_SAMPLES = 500
+#: Fewer where they would take longer, s of CPU time: half of what a drive keeps its place for (`worker._SLICE_S`). (500
+#: samples take filterpy one to two seconds, in which the drives that start beside it waited.)
+_ROUND_S = 0.25
 #: So much of its samples, s, a drive starts: the maximum-likelihood restart of its first samples ends by then
-#: (`tracking/restart/maximum_likelihood.py`).
-_START_S = 20.0
+#: (`tracking/restart/maximum_likelihood.py`). At most for so much CPU time, s: three times what that takes on a machine
+#: of half the usual speed. (Two slow drives, each "starting" for minutes, excused each other's lateness.)
+_START_S, _START_CPU_S = 20.0, 5.0
 
 
 @dataclass(slots=True)
@@ -91,6 +95,7 @@ class DriveRuntime:
         self._was_silent = False
         self._link: Link = self.reader.link
         self._load = LoadWatch()
+        self._round_samples, self._used_s = float(_ROUND_SAMPLES), 0.0
         self._published = self._publish()
 
     @property
@@ -191,10 +196,12 @@ class DriveRuntime:
         was_reset = self._estimation.carry_out_requests()
         told = [] if self.reader.driver.can_wait else self._relieve()
         self.log.tell(told)
-        blocks = self.reader.queue.take(_ROUND_SAMPLES)
+        blocks = self.reader.queue.take(self._round_samples)
         if blocks:
             self._sample_time = time.time() - self.reader.queue.waited_s(time.monotonic())
+            began_s = time.thread_time()
             self._estimation.take(blocks)
+            self._bound_round(sum(map(len, blocks)), time.thread_time() - began_s)
         self._follow_link(bool(blocks or told) or was_reset)
         self._estimation.was_published(self._sample_time)
         return bool(blocks)
@@ -202,10 +209,19 @@ class DriveRuntime:
     def _relieve(self) -> list[Message]:
         return self._load.relieve(self.reader.queue, time.monotonic(), time.process_time(), held_up=self.held_up)
 
+    def _bound_round(self, samples: int, used_s: float) -> None:
+        """
+        Args:
+            samples: of the last round.
+            used_s: CPU time that it took.
+        """
+        self._used_s += used_s
+        self._round_samples = min(_ROUND_SAMPLES, samples * _ROUND_S / max(used_s, 1e-9))
+
     @property
     def starts(self) -> bool:
         """Its first samples may yet be gone over again, which takes long. Any thread."""
-        return self._estimation.worked_s < _START_S
+        return self._estimation.worked_s < _START_S and self._used_s < _START_CPU_S
 
     def tell_waiting(self, before: int) -> None:
         """Say so, once, where its samples wait for others' turns that take long. Whoever turns the drives, between two

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from servo_daemon.api.documents import estimates_document
 from servo_daemon.config import DriveConfig
+from servo_daemon.daemon import drive as drive_module
 from servo_daemon.daemon import load as load_module
 from servo_daemon.daemon.drive import DriveRuntime
 from servo_daemon.daemon.lines.reader import BlockQueue
@@ -182,6 +184,35 @@ def test_a_drive_tells_it_in_health_events_and_metrics(monkeypatch: pytest.Monke
     assert estimates_document(drive, drive.snapshot())["health"]["overloaded"] is False
     assert drive.events()[-1].kind == "overload_over" and drive.events()[-1].data == {"samples_lost": 200}
     assert 'servo_daemon_overloaded{drive="axis1"} 0' in render_metrics(One(drive))
+
+
+def test_a_slow_engine_has_short_rounds_and_does_not_start_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else those that wait for their turn wait for seconds, and two slow drives are each late by the other's start."""
+    driver = Fed("axis1", {})
+    drive = DriveRuntime(DriveConfig(nominal=dict(DEFAULT_NOMINAL)), driver, None, lambda: None)
+    used_s, rounds, cost_s = 0.0, list[int](), 4e-3
+
+    def work_off(blocks: Sequence[SampleBlock]) -> None:
+        nonlocal used_s
+        rounds.append(sum(map(len, blocks)))
+        used_s += cost_s * rounds[-1]
+
+    monkeypatch.setattr(drive._estimation, "take", work_off)
+    monkeypatch.setattr(time, "thread_time", lambda: used_s)
+    for _ in range(200):
+        drive.reader.queue.put(driver.source.next_block(10))
+    drive.work()
+    assert rounds == [500] and drive.starts
+    while drive.work():
+        pass
+    assert all(n * cost_s == pytest.approx(drive_module._ROUND_S, abs=10 * cost_s) for n in rounds[1:-1])
+    assert not drive.starts and drive._estimation.worked_s == 0.0
+    cost_s = 1e-5
+    for _ in range(200):
+        drive.reader.queue.put(driver.source.next_block(10))
+    while drive.work():
+        pass
+    assert max(rounds[-4:]) == 500  # what took long once does not count
 
 
 class One:
