@@ -194,7 +194,6 @@ class FilterSupervision:
         sampling = self._noise.sampling(period_s)
         if fresh:
             excitation.scales = self._noise.rescale(sampling)
-            self._noise.learned(excitation.rate, period_s)
         self._noise.set()
         self.validity.update(duration_s, fresh, self._tick(sampling, ended.end_s, fresh=fresh))
         if self.validity.begins_to_follow and self._guessed:

@@ -113,20 +113,8 @@ MECHANISMS: Sequence[Named] = (
     _off(
         "the voltage's steps leave nothing of L open",
         "noise/setting.py",
-        'return self._quantised.inductance_std(period_s, self._value, self.of_current) if "L" in self._value else 0.0',
+        'return self._quantised.inductance_std(period_s, self._value) if "L" in self._value else 0.0',
         "return 0.0",
-    ),
-    _off(
-        "… of a winding that settles",
-        "noise/quantised_input.py",
-        "return min(max(fast, slow), _MOST_STD)",
-        "return min(slow, _MOST_STD)",
-    ),
-    _off(
-        "… of a winding that is slow",
-        "noise/quantised_input.py",
-        "return min(max(fast, slow), _MOST_STD)",
-        "return min(fast, _MOST_STD)",
     ),
     _off(
         "raised process noise is white",

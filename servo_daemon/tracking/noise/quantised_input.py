@@ -1,24 +1,16 @@
 """What a quantised voltage leaves open of the inductance.
 
 A filter allows for noise that is in the applied voltage and not in the record: it is independent of what is recorded,
-and averages out. Rounding is the other way round. The error e of steps q, σ_e² = q²/12, stands in the record and not in
-the motor, so that it is in the innovations *and* in their derivatives by the parameters (errors in variables): the
-filter solves Σ S ε = 0, and E S ε is not 0. Two limits:
+and averages out. Rounding is the other way round. The error of steps q stands in the record and not in the motor, so
+that it is in the innovations *and* in their derivatives by the parameters (errors in variables): the filter solves
+Σ S ε = 0, and E S ε is not 0.
 
-A winding that is slow against the sampling. One current with a = exp(−x), b = (1 − a)/R, x = h R/L, the filter's gain κ
-and F = a (1 − κ) has of the rounding
-
-    x̃⁺ = F x̃ − b e                       (error of the current)
-    S⁺ = F S − ∂a (1 − κ) x̃ + ∂b e       (what of it is in the derivative by ln L; ∂a = x a, ∂b = −x a/R)
-
-    C = E S x̃ = (x a/R b σ_e² − x a (1 − κ) F P_e)/(1 − F²),   P_e = b² σ_e²/(1 − F²)
-
-and L comes out too large by δ ln L = C/s over what a sample tells of ln L; s is the innovation's variance.
-
-A winding that settles between samples answers to changes of the voltage, each of which is off by q²/6 (two roundings).
-Where the changes Δv are not large against q, the share s = (q²/6)/E Δv² of their power is rounding that the current
-does not follow. The response 1 − exp(−x) that is seen of a change is too small by s: δ ln L = s (exp(x) − 1)/x. As that
-grows faster than L falls, it is evaluated at an L that is smaller by as much.
+The current answers to changes of the voltage, each of which is off by q²/6 (two roundings). Where the changes Δv
+within the winding's time are not large against q, the share s = (q²/6)/E Δv² of their power is rounding that the
+current does not follow. The response 1 − exp(−x) with x = h R/L that is seen of a change is too small by s:
+δ ln L = s (exp(x) − 1)/x. As that grows faster than L falls, it is evaluated at an L that is smaller by as much. (Of a
+winding that is slow against the sampling this is the share itself. What a steady Kalman filter of the current is off by
+was within it, to 4 %, in 180 cases of x = 0.05 to 2, white to slow voltages and all shares of sensor noise.)
 
 Parameters that the filter's covariance couples to L are biased with it (`along`).
 """
@@ -32,9 +24,8 @@ import numpy as np
 
 from servo_daemon.samples import F64
 
-#: Averaging lengths: of the changes, ticks; of the information, calls of `learned` (about one a second). Chosen; not
-#: tried.
-_TICKS, _LOOKS = 50.0, 30.0
+#: Averaging length of the changes, ticks (chosen; not tried).
+_TICKS = 50.0
 #: The changes are those within the winding's time; they are averaged anew once it is another by this factor (chosen;
 #: not tried).
 _OTHER_LAG = 1.5
@@ -55,7 +46,6 @@ class QuantisedInput:
         self.lsb_V = 0.0
         self._change_square, self._ticks = 0.0, 0.0  # V², mean over so many ticks
         self._lag = 1  # samples
-        self._information, self._looks = 0.0, 0.0  # a sample's on ln L, mean over so many calls of `learned`
 
     def take(self, voltage_V: F64, period_s: float, value: Mapping[str, float]) -> None:
         """Take a tick's samples.
@@ -73,48 +63,23 @@ class QuantisedInput:
         self._ticks = min(self._ticks + 1.0, _TICKS)
         self._change_square += (square - self._change_square) / self._ticks
 
-    def learned(self, information: float) -> None:
-        """Take the Fisher information on ln L of a sample of the last window. It is averaged, because the bias of L was
-        learned over longer than a window, in motion and at rest."""
-        self._looks = min(self._looks + 1.0, _LOOKS)
-        self._information += (information - self._information) / self._looks
-
-    def inductance_std(self, period_s: float, value: Mapping[str, float], noise: tuple[float, float] | None) -> float:
-        """1 σ of ln L: the larger of both limits.
+    def inductance_std(self, period_s: float, value: Mapping[str, float]) -> float:
+        """1 σ of ln L.
 
         Args:
             value: of R and L, natural units, as estimated.
-            noise: variances that the filter takes the current's sensor, A², and the held voltage, V², to have; None:
-                no current is measured.
         """
         if self.lsb_V == 0.0 or self._ticks == 0.0:
             return 0.0
         periods = min(period_s * value["R"] / value["L"], _MOST_PERIODS)
         share = self.lsb_V**2 / 6.0 / max(self._change_square, self.lsb_V**2 / 6.0)
         seen = min(share * _lost_of_change(periods), _MOST_STD)
-        fast = share * _lost_of_change(min(periods * math.exp(seen), _MOST_PERIODS))
-        slow = 0.0
-        if noise is not None and self._information > 0.0:
-            slow = _score(periods, value["R"], self.lsb_V**2 / 12.0, *noise) / self._information
-        return min(max(fast, slow), _MOST_STD)
+        return min(share * _lost_of_change(min(periods * math.exp(seen), _MOST_PERIODS)), _MOST_STD)
 
 
 def _lost_of_change(periods: float) -> float:
     """δ ln L over the share of the changes' power that is rounding."""
     return math.expm1(periods) / max(periods, 1e-9)
-
-
-def _score(x: float, R: float, rounding_V2: float, sensor_A2: float, input_V2: float) -> float:
-    """C/s of the first limit."""
-    a, b = math.exp(-x), -math.expm1(-x) / R
-    driven, r = b**2 * input_V2, sensor_A2
-    half = driven - r * (1.0 - a**2)
-    s = r + 0.5 * (half + math.sqrt(half**2 + 4.0 * driven * r))  # of the filter in its steady state
-    keeps = r / s  # 1 − κ
-    F = a * keeps
-    P_e = b**2 * rounding_V2 / (1.0 - F**2)
-    C = x * a * (b / R * rounding_V2 - keeps * F * P_e) / (1.0 - F**2)
-    return C / s
 
 
 def along(covariance: F64, k: int, std: float) -> F64:

@@ -115,11 +115,6 @@ class NoiseSetting:
         """What has been learned since is forgotten; the filter is told by the next `set`."""
         self._watch.back_to(mark)
 
-    def learned(self, information: F64, period_s: float) -> None:
-        """What the filter gained of each coordinate in a second of the last window, shape (n,)."""
-        if "L" in self._masks.names:
-            self._quantised.learned(float(information[self._masks.names.index("L")]) * period_s)
-
     def inductance_std(self, period_s: float) -> float:
         """1 σ of ln L that the steps of the recorded voltage leave open."""
-        return self._quantised.inductance_std(period_s, self._value, self.of_current) if "L" in self._value else 0.0
+        return self._quantised.inductance_std(period_s, self._value) if "L" in self._value else 0.0

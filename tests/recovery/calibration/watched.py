@@ -139,7 +139,7 @@ for _name in _COMPARISONS:
     setattr(Watched, _name, _comparison(_name))
 
 
-def _thresholds(package: str) -> Iterator[tuple[Any, str, Any]]:
+def thresholds(package: str) -> Iterator[tuple[Any, str, Any]]:
     """Modules of a package, and names and values of the constants that each defines."""
     for info in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
         if info.ispkg:
@@ -168,7 +168,7 @@ def watching(*packages: str) -> Iterator[dict[str, Notes]]:
     to, while it lasts."""
     notes: dict[str, Notes] = {}
     replaced: list[tuple[Any, str, Any]] = []
-    thresholds = [t for package in packages for t in _thresholds(package)]
+    thresholds = [t for package in packages for t in thresholds(package)]
     own = [m for n, m in list(sys.modules.items()) if n.split(".")[0] == "servo_daemon" and m is not None]
     try:
         for where, name, value in thresholds:
