@@ -56,6 +56,12 @@ def result_notes(
         f"{' or '.join(effects)} would look the same: give `--fix {name}=…`, or measure the current"
         for name, effects in equivalents(fit.problem).items()
     ]
+    if fit.current_is_mean:
+        notes.append(
+            "current_A is its mean over each row, not its value at it: R, L, K and J hold some of that, and their "
+            "standard deviations. mend: a line  # current: mean  above the header, or  current = "
+            '"mean"  under [metadata] of a signal map'
+        )
     if (late_s := fit.current_late_s) is not None:
         notes.append(_late(late_s, fit.problem.sample_period_s))
     if fit.voltage_rows_late and capture is not None:

@@ -127,6 +127,7 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
         *,
         late_s: float = 0.0,
         rows_late: int = 0,
+        mean_current: bool = False,
     ) -> OutputErrorFit | None:
         table = {p.name: p for p in fit.problem.plant.parameters}
         within = {n: float(np.clip(values[n], table[n].lower, table[n].upper)) for n in held}
@@ -135,7 +136,10 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
             begun = replace(
                 options, nominal={**values, **fixed}, fixed=fixed, thorough=False, noise_model="none", misfit=False
             )
-            return fit_output_error([_put_right(r, late_s, rows_late) for r in recordings], effects, begun)
+            right = [_put_right(r, late_s, rows_late) for r in recordings]
+            if mean_current:
+                right = [replace(r, block=replace(r.block, current_mean=True)) for r in right]
+            return fit_output_error(right, effects, begun)
         return None
 
     problem = fit.problem

@@ -79,6 +79,7 @@ class OutputErrorFit:
         start: which start won.
         seconds: time taken.
         current_late_s: time constant of a filter that the current has, s; None: none was seen.
+        current_is_mean: the current is shown as its mean over the row before, which the fit was not told.
         voltage_rows_late: by how many rows the voltage seems to be late beside a motion alone; negative: early.
     """
 
@@ -100,6 +101,7 @@ class OutputErrorFit:
     start: str
     seconds: float
     current_late_s: float | None = None
+    current_is_mean: bool = False
     voltage_rows_late: int = 0
 
     @property

@@ -48,10 +48,12 @@ def predicted_fit(fit: OutputErrorFit, recordings: Sequence[Recording]) -> Outpu
     """The same model with the parameters that predict best; None where these do not explain the data to their noise.
 
     Args:
-        fit: of voltage-driven motors with a measured current; where it begins, and what is not determined stays there.
+        fit: of voltage-driven motors with a current measured at the samples; where it begins, and what is not
+            determined stays there.
         recordings: the same.
     """
-    if fit.problem.plant.drive != "voltage" or "current_A" not in fit.problem.channels:
+    plant = fit.problem.plant
+    if plant.drive != "voltage" or "current_A" not in fit.problem.channels or plant.mean_current:
         return None
     problem, unknowns = _uncut(fit, recordings)
     at = predictor(problem, unknowns, _weights(fit, problem))

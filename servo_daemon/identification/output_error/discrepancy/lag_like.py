@@ -44,9 +44,11 @@ class Refit(Protocol):
         *,
         late_s: float = 0.0,
         rows_late: int = 0,
+        mean_current: bool = False,
     ) -> OutputErrorFit | None:
         """The model with these effects, from these natural values, of which some are held, and with a current that is
-        so late, a voltage that is rows late, put right; None: it cannot be simulated."""
+        so late, a voltage that is rows late, put right, a current that is its mean over the row before; None: it cannot
+        be simulated."""
 
 
 def leaves_the_trace_of_l(problem: Problem) -> bool:

@@ -32,6 +32,7 @@ from servo_daemon.identification.output_error.discrepancy.lag_like import (
     with_more_inductance,
 )
 from servo_daemon.identification.output_error.discrepancy.late_current import by_late_current
+from servo_daemon.identification.output_error.discrepancy.mean_current import by_mean_current
 from servo_daemon.identification.output_error.discrepancy.other_laws import (
     by_friction_one_way,
     by_unheld_voltage,
@@ -88,7 +89,9 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         far.append(law)
     elif law is not None:
         inside = np.column_stack([inside, moved_to(law, fit)])
-    filtered = by_late_current(fit, again) if square else None
+    means = by_mean_current(fit, again) if square else None
+    inside = inside if means is None else np.column_stack([inside, moved_to(means, fit)])
+    filtered = by_late_current(fit, again) if square and means is None else None
     inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
     unheld = by_unheld_voltage(fit, again) if square else None
     inside = inside if unheld is None else np.column_stack([inside, unheld])
@@ -126,6 +129,7 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         answer=answer,
         combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
         current_late_s=None if filtered is None else filtered[1],
+        current_is_mean=means is not None,
         voltage_rows_late=0 if moved is None else moved[1],
     )
 

@@ -84,13 +84,47 @@ def _loop(plant: PlantModel, channels: tuple[str, ...], sensitivities: bool) -> 
     return SampleLoop(step, paced_by=STEP, side_by_side=True)
 
 
-def _through(plant: PlantModel, loop: SampleLoop, states: F64, q: F64, rows: F64) -> F64:
-    """`loop.run_many` over the samples in the plant's pieces; what is shown at the samples themselves."""
+def _through(plant: PlantModel, loop: SampleLoop, states: F64, q: F64, rows: F64, current: Sequence[int]) -> F64:
+    """`loop.run_many` over the samples in the plant's pieces; what is shown at the samples themselves.
+
+    Args:
+        current: columns of the current and of its derivatives.
+    """
     if plant.pieces == 1:
         return loop.run_many(states, q, rows)
     blocks = [rows[:, a : a + _AT_ONCE] for a in range(0, rows.shape[1], _AT_ONCE)]
-    shown = [loop.run_many(states, q, _in_pieces(block, plant.pieces))[:, :: plant.pieces] for block in blocks]
-    return np.concatenate(shown, axis=1)
+    out, means = [], []
+    for block in blocks:
+        run = loop.run_many(states, q, _in_pieces(block, plant.pieces))
+        out.append(run[:, :: plant.pieces])
+        if plant.mean_current:
+            pieces = run[:, :, current].reshape(len(run), -1, plant.pieces, len(current))
+            means.append(np.einsum("p,knpc->knc", _simpson(plant.pieces)[:-1], pieces))
+    shown = np.concatenate(out, axis=1)
+    if plant.mean_current:  # the first sample's began before the run, which shows its value there
+        last = _simpson(plant.pieces)[-1] * shown[:, 1:, current]
+        shown[:, 1:, current] = np.concatenate(means, axis=1)[:, :-1] + last
+    return shown
+
+
+@cache
+def _simpson(pieces: int) -> F64:
+    """Weights of the mean of an interval in so many pieces, shape (pieces + 1,)."""
+    weights = np.full(pieces + 1, 2.0)
+    weights[1::2], weights[[0, -1]] = 4.0, 1.0
+    return weights / (3.0 * pieces)
+
+
+def _of_current(channels: tuple[str, ...], slopes: int = 0) -> list[int]:
+    """Columns of the current and of its derivatives in what a run shows.
+
+    Args:
+        slopes: derivatives of each channel, behind all channels.
+    """
+    if "current_A" not in channels:
+        return []
+    at, c = channels.index("current_A"), len(channels)
+    return [at, *range(c + at * slopes, c + (at + 1) * slopes)]
 
 
 def _in_pieces(rows: F64, pieces: int) -> F64:
@@ -125,7 +159,7 @@ def simulate_many(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64,
     states = np.zeros((len(rows), n * (1 + n + n_q)))
     states[:, :n] = x0
     states[:, n : n + n * n] = np.eye(n).ravel()
-    out = _through(plant, _loop(plant, channels, True), states, q, rows)
+    out = _through(plant, _loop(plant, channels, True), states, q, rows, _of_current(channels, n + n_q))
     slopes = out[:, :, c:].reshape(*rows.shape[:2], c, n + n_q)
     return Simulated(out[:, :, :c], slopes[..., :n], slopes[..., n:], states[:, :n].copy())
 
@@ -133,7 +167,9 @@ def simulate_many(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64,
 def free_run(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, rows: F64) -> tuple[F64, F64]:
     """Free run without sensitivities: what is shown, shape (n, c), and the plant's states, shape (n, nx)."""
     states = np.array(x0, dtype=np.float64)[None]
-    out = _through(plant, _loop(plant, channels, False), states, q, np.ascontiguousarray(rows)[None])[0]
+    out = _through(
+        plant, _loop(plant, channels, False), states, q, np.ascontiguousarray(rows)[None], _of_current(channels)
+    )[0]
     return out[:, : len(channels)], out[:, len(channels) :]
 
 
@@ -146,7 +182,7 @@ def free_runs(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, row
         rows: shape (k, n, 3), C-contiguous.
     """
     states = np.array(x0, dtype=np.float64, order="C")
-    out = _through(plant, _loop(plant, channels, False), states, q, rows)
+    out = _through(plant, _loop(plant, channels, False), states, q, rows, _of_current(channels))
     return out[:, :, : len(channels)]
 
 
@@ -163,7 +199,7 @@ def free_states(plant: PlantModel, channels: tuple[str, ...], q: F64, x0: F64, r
     states = np.tile(x0, (k, 1))
     for begin in range(0, int(np.max(at, initial=-1)) + 1, _AT_ONCE):
         part = rows[begin : begin + _AT_ONCE]
-        shown = _through(plant, loop, states, q, np.tile(part, (k, 1, 1)))
+        shown = _through(plant, loop, states, q, np.tile(part, (k, 1, 1)), ())
         here = np.flatnonzero((at >= begin) & (at < begin + len(part)))
         out[:, here] = shown[:, at[here] - begin, len(channels) :]
     return out

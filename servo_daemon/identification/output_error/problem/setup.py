@@ -104,7 +104,10 @@ def make_problem(
         BadInputError: no usable signals, too few samples, or a fixed parameter that the model does not have.
     """
     drive, measured = choose_signals(common_channels(recordings))
-    plant = build_plant(effects, drive).for_runs_of(max(sample_period(r.block.time_s) for r in recordings))
+    plant = build_plant(effects, drive).for_runs_of(
+        max(sample_period(r.block.time_s) for r in recordings),
+        mean_current="current_A" in measured and all(r.block.current_mean for r in recordings),
+    )
     table = {p.name: p for p in plant.parameters}
     for name, value in fixed.items():
         if name in table and not (isfinite(value) and table[name].lower <= value <= table[name].upper):
@@ -155,7 +158,9 @@ def _segments(
     for begin, end in _cuts(time, segment_s):
         if end - begin >= FEWEST_SAMPLES and (of.seen is None or of.seen[begin:end].any()):
             x0 = _initial_state(block, plant, begin, end)
-            part, fitted = values[begin:end], valid[begin:end]
+            part, fitted = values[begin:end], valid[begin:end].copy()
+            if plant.mean_current:  # of the interval before the run
+                fitted[0, measured.index("current_A")] = False
             out.append(Segment(recording, rows[begin:end].copy(), part, fitted, x0, scale, begin))
     return out
 

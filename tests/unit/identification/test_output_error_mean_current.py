@@ -1,0 +1,93 @@
+"""A current that is the mean over the row before it, of windings slower and faster than a row."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servo_daemon.commands.fit.notes import result_notes
+from servo_daemon.identification.output_error.fit import fit_output_error
+from servo_daemon.identification.output_error.fitted import OutputErrorFit
+from servo_daemon.identification.output_error.problem.setup import Recording
+from servo_daemon.plant.build import build_plant
+from servo_daemon.plant.linear import linear_step
+from servo_daemon.samples import SampleBlock, make_block
+
+MOTOR = {"R": 1.2, "K": 0.05, "J": 5e-5, "B": 1e-5}
+PERIOD_S, FINE, COUNT = 1e-3, 100, 2 * np.pi / 4096
+
+
+def recorded(L: float, *, means: bool, friction_Nm: float = 0.0, seed: int = 5, n: int = 3000) -> SampleBlock:
+    """Steps of voltage every 30 rows, angles in counts; the current's mean by the trapezoidal rule over each hundredth
+    of a row."""
+    rng = np.random.default_rng(seed)
+    voltage = np.repeat(rng.uniform(-24.0, 24.0, n // 30), 30)
+    Ad, Bd = linear_step({**MOTOR, "L": L}, PERIOD_S / FINE)
+    x, path = np.zeros(3), np.empty((n * FINE + 1, 3))
+    for k in range(n * FINE + 1):
+        path[k] = x
+        x = Ad @ x + Bd @ [voltage[min(k // FINE, n - 1)], friction_Nm * np.sign(x[1])]
+    half = (path[:-1, 0] + path[1:, 0]) / 2.0
+    shown = np.concatenate([[0.0], half.reshape(n, FINE).mean(axis=1)[:-1]]) if means else path[:-1:FINE, 0]
+    return make_block(
+        np.asarray(PERIOD_S * np.arange(n), np.float64),
+        voltage_V=voltage,
+        current_A=shown + rng.normal(0.0, 0.01, n),
+        position_rad=np.asarray(np.floor(path[:-1:FINE, 2] / COUNT) * COUNT),
+    )
+
+
+def fitted(block: SampleBlock) -> OutputErrorFit:
+    return fit_output_error([Recording("means.csv", block)])
+
+
+def assert_known(fit: OutputErrorFit, L: float, stds: float, share: float = 1.0) -> None:
+    for name, true in {**MOTOR, "L": L}.items():
+        found = fit.parameters[name]
+        if name == "B":  # next to nothing of it shows in 3 s
+            continue
+        if found.value is not None and found.std is not None:  # Simpson's rule is 0.15 % off for the fastest winding
+            assert abs(found.value - true) < max(stds * found.std, 2e-3 * true), name
+        assert found.std is None or found.std < share * true, name
+
+
+@pytest.mark.parametrize("time_constant", [0.15, 0.5, 1.0, 5.0])
+def test_means_are_compared_with_means(time_constant: float) -> None:
+    """Of 0.15 rows to 5; taken for values at the samples L was 2.7 times too large, at 12 of its std, for 0.25 rows."""
+    L = time_constant * PERIOD_S * MOTOR["R"]
+    fit = fitted(replace(recorded(L, means=True), current_mean=True))
+    assert fit.residual["current_A"].white
+    assert_known(fit, L, 4.0, 0.01)
+    assert all(fit.parameters[n].value is not None for n in ("R", "L", "K", "J"))
+    assert not fit.current_is_mean
+
+
+@pytest.mark.parametrize("time_constant", [0.25, 1.0, 5.0])
+def test_means_that_nobody_told_are_seen(time_constant: float) -> None:
+    L = time_constant * PERIOD_S * MOTOR["R"]
+    fit = fitted(recorded(L, means=True))
+    assert fit.current_is_mean
+    assert_known(fit, L, 3.0)
+    assert any("# current: mean" in note for note in result_notes(fit, {}))
+
+
+@pytest.mark.parametrize("friction_Nm", [0.0, 0.02])
+def test_a_current_at_its_samples_is_no_mean(friction_Nm: float) -> None:
+    assert not fitted(recorded(1.2e-3, means=False, friction_Nm=friction_Nm)).current_is_mean
+
+
+def test_recordings_of_both_kinds_are_compared_with_values_at_the_samples() -> None:
+    """One model shows one kind; a mixture is told as what it is, a misfit."""
+    one, other = recorded(1.2e-3, means=True), recorded(1.2e-3, means=False, seed=6)
+    fit = fit_output_error([Recording("a", replace(one, current_mean=True)), Recording("b", other)])
+    assert not fit.problem.plant.mean_current and not fit.residual["current_A"].white
+    assert_known(fit, 1.2e-3, 3.0)
+
+
+def test_a_plant_for_means_is_cut_evenly_and_one_of_a_late_sensor_is_not() -> None:
+    plant = build_plant(("coulomb_friction",)).for_runs_of(0.05, mean_current=True)
+    assert plant.mean_current and plant.pieces >= 8 and plant.pieces % 2 == 0
+    assert plant.with_effects(()).mean_current
+    assert not build_plant(("measurement_delay",)).for_runs_of(1e-3, mean_current=True).mean_current
