@@ -101,6 +101,18 @@ class SignalMeaning:
         return self.voltage != "held"
 
     @property
+    def of_means(self) -> bool:
+        """Whether the winding's balance is that of means over intervals: of a voltage that is one, or of a held one
+        beside a current that is."""
+        return self.voltage == "mean" or (self.voltage == "held" and self.current == "mean")
+
+    @property
+    def follows_current(self) -> bool:
+        """Whether a live filter is driven by the current, and the winding left to its balance: a measured voltage is
+        not what acts until the next sample, and a mean of the current not what a filter's step ends with."""
+        return self.measures_voltage or self.of_means
+
+    @property
     def may_hold_voltage(self) -> bool:
         """Whether the drive may hold a voltage that is not in its samples for whole ones: neither its voltage nor its
         current is measured as that of a control loop which is faster."""
@@ -109,7 +121,7 @@ class SignalMeaning:
     @property
     def words(self) -> str:
         """What the voltage is, for a reason."""
-        return {"held": "held", "instant": "an instant's", "mean": "a mean"}[self.voltage]
+        return {"held": "held beside a mean of the current", "instant": "an instant's", "mean": "a mean"}[self.voltage]
 
     @property
     def factors(self) -> tuple[float, float]:

@@ -122,8 +122,9 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
 
 
 def _plan(channels: tuple[str, ...], drive: DriveConfig, meaning: SignalMeaning) -> SignalPlan:
-    """What will be estimated: of a measured voltage R, L and K by its balance, the rest as driven by the current."""
-    if not (meaning.measures_voltage and {"voltage_V", "current_A"} <= {*channels}):
+    """What will be estimated: where the filter follows the current R, L and K by the winding's balance, the rest as
+    driven by it."""
+    if not (meaning.follows_current and {"voltage_V", "current_A"} <= {*channels}):
         return plan_signals(channels, drive.model, drive.nominal)
     driven = tuple(c for c in channels if c != "voltage_V")
     plan = plan_signals(driven, drive.model, {"K": 1.0, **drive.nominal})

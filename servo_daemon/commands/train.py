@@ -151,8 +151,11 @@ def _measured(paths: Sequence[Path], arguments: argparse.Namespace, window_s: fl
             if (value := capture.metadata_number(key)) is not None
         }
         meaning = capture.meaning()
-        if meaning.measures_voltage:
-            raise BadInputError(f"{capture.path}: voltage = {meaning.voltage}: features are those of a held voltage")
+        if meaning.follows_current:
+            kinds = f"voltage = {meaning.voltage}, current = {meaning.current}"
+            raise BadInputError(
+                f"{capture.path}: {kinds}: features are those of a held voltage and a current at its rows"
+            )
         try:
             known.append(measured_training([(capture.as_dc(meaning).block(), found)], window_s))
         except BadInputError as error:

@@ -96,7 +96,7 @@ class Pipeline:
     def _begin_refresher(self) -> None:
         model = self._learned
         # (A learned model's features are those of a held voltage.)
-        fits = model is not None and model.spec.effects == self.config.model and not self.meaning.measures_voltage
+        fits = model is not None and model.spec.effects == self.config.model and not self.meaning.follows_current
         names = publish.published_names(self.config)
         every_s = self.config.estimation.refresh_every_s
         self._refresher = Refresher(model, names, every_s) if model is not None and fits else None
@@ -221,9 +221,10 @@ class Pipeline:
         self._published = None
         self._tick, self._driven = [], []
         self._cutter = TickCutter()
-        measured = self.meaning.measures_voltage
-        self._link = MeasuredLink(self.config, self.meaning) if measured and "voltage_V" in channels else None
-        self._timing = CurrentTiming(self.meaning, torques=self._link is None) if measured else None
+        linked = self.meaning.follows_current and "voltage_V" in channels
+        self._link = MeasuredLink(self.config, self.meaning) if linked else None
+        timed = linked or self.meaning.measures_voltage
+        self._timing = CurrentTiming(self.meaning, torques=not linked) if timed else None
         self.preparing = True
         try:
             self._tracker = self._tracker_for(self.config, self._saved)

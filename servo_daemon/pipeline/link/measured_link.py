@@ -106,7 +106,7 @@ class MeasuredLink:
             self._tail = None
         whole = tick if self._tail is None else concatenate([self._tail, tick])
         rows = winding_rows(whole, self.meaning)
-        keep = 2 * FINE + (self.meaning.voltage == "mean")
+        keep = 2 * FINE + self.meaning.of_means
         self._tail = whole.slice(max(0, len(whole) - keep), len(whole))
         if rows is not None and len(rows.time_s):
             self._rows.append(rows)

@@ -74,7 +74,7 @@ def winding_rows(block: SampleBlock, meaning: SignalMeaning, *, by_position: boo
         return None
     t = block.time_s
     whole = _whole(block)
-    if meaning.voltage == "mean":
+    if meaning.of_means:
         return _of_means(t, v, i, theta, omega, whole, meaning)
     if meaning.current == "mean":  # of the two intervals beside the instant
         i = np.append(0.5 * (i[:-1] + i[1:]), i[-1])
@@ -120,7 +120,8 @@ def _of_means(
     else:
         current = 0.5 * (i[1:] + i[:-1]) - step / 12.0 * np.diff(fine.of(i))
         rate = coarse = np.diff(i) / step
-    parts = (v[1:], current, speed, rate, other, coarse, fine.of(v)[1:], np.zeros(len(step)))
+    v_mean = v[:-1] if meaning.voltage == "held" else v[1:]  # a held one acts from its sample on
+    parts = (v_mean, current, speed, rate, other, coarse, fine.of(v)[1:], np.zeros(len(step)))
     ahead = whole & np.roll(whole, -1) & np.roll(whole, -2)
     return _rows(t[1:], parts, ahead[1:], float(np.median(step)), meaning.control_period_s)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from servo_daemon.commands.fit.notes import result_notes
@@ -12,31 +11,8 @@ from servo_daemon.identification.output_error.fit import fit_output_error
 from servo_daemon.identification.output_error.fitted import OutputErrorFit
 from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.plant.build import build_plant
-from servo_daemon.plant.linear import linear_step
-from servo_daemon.samples import SampleBlock, make_block
-
-MOTOR = {"R": 1.2, "K": 0.05, "J": 5e-5, "B": 1e-5}
-PERIOD_S, FINE, COUNT = 1e-3, 100, 2 * np.pi / 4096
-
-
-def recorded(L: float, *, means: bool, friction_Nm: float = 0.0, seed: int = 5, n: int = 3000) -> SampleBlock:
-    """Steps of voltage every 30 rows, angles in counts; the current's mean by the trapezoidal rule over each hundredth
-    of a row."""
-    rng = np.random.default_rng(seed)
-    voltage = np.repeat(rng.uniform(-24.0, 24.0, n // 30), 30)
-    Ad, Bd = linear_step({**MOTOR, "L": L}, PERIOD_S / FINE)
-    x, path = np.zeros(3), np.empty((n * FINE + 1, 3))
-    for k in range(n * FINE + 1):
-        path[k] = x
-        x = Ad @ x + Bd @ [voltage[min(k // FINE, n - 1)], friction_Nm * np.sign(x[1])]
-    half = (path[:-1, 0] + path[1:, 0]) / 2.0
-    shown = np.concatenate([[0.0], half.reshape(n, FINE).mean(axis=1)[:-1]]) if means else path[:-1:FINE, 0]
-    return make_block(
-        np.asarray(PERIOD_S * np.arange(n), np.float64),
-        voltage_V=voltage,
-        current_A=shown + rng.normal(0.0, 0.01, n),
-        position_rad=np.asarray(np.floor(path[:-1:FINE, 2] / COUNT) * COUNT),
-    )
+from servo_daemon.samples import SampleBlock
+from tests.mean_current import MOTOR, PERIOD_S, recorded
 
 
 def fitted(block: SampleBlock) -> OutputErrorFit:
