@@ -8,7 +8,7 @@ import pytest
 
 from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.identification.output_error.fit import fit_output_error
-from servo_daemon.identification.output_error.fitted import OutputErrorFit
+from servo_daemon.identification.output_error.fitted import FitOptions, OutputErrorFit
 from servo_daemon.identification.output_error.problem.setup import Recording
 from servo_daemon.plant.build import build_plant
 from servo_daemon.samples import SampleBlock
@@ -67,3 +67,12 @@ def test_a_plant_for_means_is_cut_evenly_and_one_of_a_late_sensor_is_not() -> No
     assert plant.mean_current and plant.pieces >= 8 and plant.pieces % 2 == 0
     assert plant.with_effects(()).mean_current
     assert not build_plant(("measurement_delay",)).for_runs_of(1e-3, mean_current=True).mean_current
+
+
+def test_a_trial_that_carries_states_on_is_fitted_to_means_as_well() -> None:
+    """As a diagnosis tries its models: short segments, whose slow states come from one run over everything."""
+    block = replace(recorded(0.3e-3, means=True), current_mean=True)
+    values = {**MOTOR, "L": 0.3e-3}
+    options = FitOptions(nominal=values, thorough=False, segment_s=0.5, misfit=False)
+    fit = fit_output_error([Recording("means.csv", block)], ("winding_heating",), options)
+    assert fit.problem.plant.mean_current and fit.values["L"] == pytest.approx(0.3e-3, rel=0.01)

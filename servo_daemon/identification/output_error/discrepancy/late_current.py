@@ -38,8 +38,8 @@ def by_late_current(fit: OutputErrorFit, again: Refit) -> tuple[F64, float] | No
     problem = fit.problem
     if problem.plant.drive != "voltage" or problem.channels[0] != "current_A" or len(problem.channels) < 2:
         return None
-    if "measurement_delay" in problem.plant.effects or "L" not in problem.free:
-        return None
+    if "measurement_delay" in problem.plant.effects or "L" not in problem.free or problem.plant.mean_current:
+        return None  # (a mean is half a row late, and the model knows)
     segments = [s for s in problem.segments if s.recording not in problem.blocked]
     late_s = _late_s(problem, max(segments, key=lambda s: len(s.rows))) if segments else 0.0
     values = values_of(fit)

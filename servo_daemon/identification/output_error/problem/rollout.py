@@ -93,15 +93,15 @@ def _through(plant: PlantModel, loop: SampleLoop, states: F64, q: F64, rows: F64
     if plant.pieces == 1:
         return loop.run_many(states, q, rows)
     blocks = [rows[:, a : a + _AT_ONCE] for a in range(0, rows.shape[1], _AT_ONCE)]
-    out, means = [], []
+    out, means, averaged = [], [], plant.mean_current and len(current) > 0
     for block in blocks:
         run = loop.run_many(states, q, _in_pieces(block, plant.pieces))
         out.append(run[:, :: plant.pieces])
-        if plant.mean_current:
+        if averaged:
             pieces = run[:, :, current].reshape(len(run), -1, plant.pieces, len(current))
             means.append(np.einsum("p,knpc->knc", _simpson(plant.pieces)[:-1], pieces))
     shown = np.concatenate(out, axis=1)
-    if plant.mean_current:  # the first sample's began before the run, which shows its value there
+    if averaged:  # the first sample's began before the run, which shows its value there
         last = _simpson(plant.pieces)[-1] * shown[:, 1:, current]
         shown[:, 1:, current] = np.concatenate(means, axis=1)[:, :-1] + last
     return shown
