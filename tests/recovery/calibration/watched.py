@@ -168,10 +168,10 @@ def watching(*packages: str) -> Iterator[dict[str, Notes]]:
     to, while it lasts."""
     notes: dict[str, Notes] = {}
     replaced: list[tuple[Any, str, Any]] = []
-    thresholds = [t for package in packages for t in thresholds(package)]
+    every = [t for package in packages for t in thresholds(package)]
     own = [m for n, m in list(sys.modules.items()) if n.split(".")[0] == "servo_daemon" and m is not None]
     try:
-        for where, name, value in thresholds:
+        for where, name, value in every:
             new = _wrapped(f"{where.__name__.removeprefix(_ROOM)}.{name}", value, notes)
             if new is value:
                 continue

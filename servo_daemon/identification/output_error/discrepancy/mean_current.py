@@ -38,7 +38,8 @@ def _goes_with_the_mean(fit: OutputErrorFit, channel: int) -> bool:
     for segment, residuals, slopes in zip(fit.problem.segments, point.residuals, point.jacobian, strict=True):
         shown = segment.measured[:, channel] - residuals[:, channel]
         difference = np.concatenate([[0.0], (shown[:-1] - shown[1:]) / 2.0])
-        use = segment.valid[:, channel]
+        use = segment.valid[:, channel] & np.roll(segment.valid[:, channel], 1)
+        use[0] = False
         left.append(residuals[use, channel])
         parts.append(np.column_stack([difference, slopes[:, channel, :width]])[use])
     r, table = np.concatenate(left), np.vstack(parts)
