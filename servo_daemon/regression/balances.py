@@ -31,7 +31,7 @@ from servo_daemon.samples import F64
 #: wrong time, and that `skew_s` of the configuration answers for.
 ALIGNED = {"L": 1.0 / 12.0}
 
-#: Noise levels are known to this factor (in squares; chosen; not tried).
+#: Noise levels are known to this factor (in squares; free within a half and twice: tests/recovery/constants.py).
 NOISE_KNOWN = 2.0
 #: With so few samples in a window that φ itself is hardly followed a balance closes no better than to this share (at
 #: 100 Hz, L/R = 1 ms: 4 to 13 % on the four test motors).

@@ -10,7 +10,8 @@ import numpy as np
 from servo_daemon.regression.columns.terms import is_share
 from servo_daemon.samples import F64
 
-#: A regression knows a parameter when its std is below this share of it (chosen; not tried).
+#: A regression knows a parameter when its std is below this share of it (free within a half and twice:
+#: tests/recovery/constants.py).
 KNOWS = 0.25
 
 

@@ -118,6 +118,15 @@ def worse(now: Figures, usual: Figures) -> list[str]:
     return [f"{name} {now[name]:.4g} ({usual[name]:.4g})" for name in usual if is_worse(name)]
 
 
+def said(row: Mapping[str, Any], usual: Figures) -> str:
+    """Of a trial. What moves no figure at all has not been tried by it."""
+    if "failed" in row:
+        return str(row["failed"])
+    if row["figures"] == usual:
+        return "no say in these runs"
+    return "; ".join(worse(row["figures"], usual)) or "free"
+
+
 def tried(job: tuple[str | None, float]) -> dict[str, Any]:
     """One constant scaled, or none of them."""
     constant, factor = job
@@ -151,8 +160,7 @@ def main() -> None:
                 usual = row["figures"]
                 print(usual, flush=True)
             else:
-                said = [row["failed"]] if "failed" in row else worse(row["figures"], usual)
-                print(f"{row['constant']} {row['value']} × {row['factor']}: {'; '.join(said) or 'free'}", flush=True)
+                print(f"{row['constant']} {row['value']} × {row['factor']}: {said(row, usual)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -40,3 +40,10 @@ def test_whole_numbers_stay_whole_and_at_least_one() -> None:
 def test_what_is_worse_is_told(name: str, same: float, bad: float) -> None:
     assert tool.worse(USUAL | {name: same}, USUAL) == []
     assert [text.split(" (")[0] for text in tool.worse(USUAL | {name: bad}, USUAL)] == [f"{name} {bad:.4g}"]
+
+
+def test_what_moves_nothing_is_not_told_as_free() -> None:
+    assert tool.said({"figures": USUAL}, USUAL) == "no say in these runs"
+    assert tool.said({"figures": USUAL | {"ekf error": 0.0101}}, USUAL) == "free"
+    assert tool.said({"figures": USUAL | {"converged": 3.0}}, USUAL) == "converged 3 (12)"
+    assert tool.said({"failed": "ValueError()"}, USUAL) == "ValueError()"

@@ -16,7 +16,7 @@ from servo_daemon.tracking.noise.levels import ChannelNoise, ProcessNoise, White
 #: `test_the_winding_is_right_where_the_shaft_s_balance_does_not_close` fails). Chosen; not tried.
 _CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
 #: Of a sensor's noise that is known from elsewhere at least this much stays, however small the innovations are beside
-#: what a filter that has just started expects of them (chosen; not tried).
+#: what a filter that has just started expects of them (free within a half and twice: tests/recovery/constants.py).
 _LEAST_SHARE = 0.5
 #: Whiteness, by the correlation of neighbouring innovations: leaves at the second value, returns at the first (see
 #: `make calibrate`).

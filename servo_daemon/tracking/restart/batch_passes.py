@@ -30,7 +30,7 @@ _PASSES = 8
 #: (`test_noise_is_found_again_at_the_values_that_were_found_with_it` fails with once).
 _TURNS = 2
 #: A pass begins with no larger 1 σ: further off a logarithm's derivatives say nothing of where it would have to go (a
-#: fifth; chosen; not tried).
+#: fifth; free within a half and twice: tests/recovery/constants.py).
 WIDEST_STD = 0.2
 #: A pass along the instrumental trajectory fits as well as one without it, if its cost is no larger than by this; by
 #: the second where one has been no better before (free within 10 .. 40 and 1.5 .. 6).

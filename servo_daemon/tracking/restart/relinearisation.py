@@ -35,7 +35,8 @@ from servo_daemon.tracking.samples.filtering import MOST_SAMPLES, STEPS_A_TICK, 
 from servo_daemon.tracking.start.starter import Start
 from servo_daemon.tracking.validity.validity_gate import ValidityGate
 
-#: Begun with a larger 1 σ than this a parameter's derivatives may be wrong (chosen; not tried).
+#: Begun with a larger 1 σ than this a parameter's derivatives may be wrong (free within a half and twice:
+#: tests/recovery/constants.py).
 _VAGUE_STD = 0.1
 #: From this tick on the filter has found its values, or is suspected of having diverged (decision 33: 4 s).
 FOUND_TICK = 40

@@ -25,7 +25,7 @@ MOST_SAMPLES = 20_000
 #: over later, and a start under friction claims a K that is 4.3 standard deviations off: docs/performance.md.)
 STEPS_A_TICK = 60_000
 #: A pass over them that moves no value by more than these, in standard deviations and as a share of one unit, was the
-#: last (chosen; not tried).
+#: last (free within a half and twice: tests/recovery/constants.py).
 SETTLED_STDS, SETTLED_SHARE = 0.5, 0.01
 
 

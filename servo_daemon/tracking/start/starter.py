@@ -24,7 +24,8 @@ from servo_daemon.tracking.start.starting_point import starting_point, well_know
 _EARLIEST_S, LATEST_S = 1.0, 3.0
 #: With a saved state there is only the noise to wait for, s (chosen; not tried).
 _EARLIEST_SAVED_S = 0.2
-#: Ticks kept while there is nothing to start from (two seconds; chosen; not tried).
+#: Ticks kept while there is nothing to start from (two seconds; free within a half and twice:
+#: tests/recovery/constants.py).
 _TICKS_KEPT = 20
 #: An offset that nobody has asked for is small: 1 σ as a share of its scale (decision 16).
 BIAS_SHARE = 0.03

@@ -12,7 +12,8 @@ from servo_daemon.regression.estimate import RegressionEstimate
 from servo_daemon.regression.residual_analysis import EXACT_STD
 from servo_daemon.regression.sampling import BLIND_STD, settled_share
 
-#: The regression's start is trusted this much less than it says: its noise is not quite white (chosen; not tried).
+#: The regression's start is trusted this much less than it says: its noise is not quite white (free within a half and
+#: twice: tests/recovery/constants.py).
 _INFLATION = 3.0
 #: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative, inflated:
 #: 5 % by its own word, decision 32).

@@ -31,7 +31,8 @@ _NOTHING_STD = 7.0
 #: The running sum over the window is taken anew after so many ticks (rounding does not add up for longer; chosen; not
 #: tried).
 _SUM_ANEW = 100
-#: Share of a parameter in the directions that are not determined, above which it is one of them (chosen; not tried).
+#: Share of a parameter in the directions that are not determined, above which it is one of them (free within a half and
+#: twice: tests/recovery/constants.py).
 _INSIDE = 0.98
 
 #: Why a parameter is not visible, in words.

@@ -20,7 +20,8 @@ from servo_daemon.tracking.validity.last_known import LastKnown
 from servo_daemon.tracking.validity.mismatch import Mismatch
 from servo_daemon.tracking.validity.tick import Tick
 
-#: An unexcited parameter's covariance grows with its drift up to this 1 σ (chosen; not tried).
+#: An unexcited parameter's covariance grows with its drift up to this 1 σ (free within a half and twice:
+#: tests/recovery/constants.py).
 _IDLE_STD = 0.3
 #: The lags of winding and drive are identifiable by the speed alone, which acts behind the drive's: alike to this
 #: factor one of them may be as much longer as the other is shorter (with 4.0 and 4.6 ms all of R .. B were up to 26 %
