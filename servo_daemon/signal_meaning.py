@@ -110,13 +110,13 @@ class SignalMeaning:
     def follows_current(self) -> bool:
         """Whether a live filter is driven by the current, and the winding left to its balance: a measured voltage is
         not what acts until the next sample, and a mean of the current not what a filter's step ends with."""
-        return self.measures_voltage or self.of_means
+        return self.measures_voltage or self.current == "mean"
 
     @property
     def may_hold_voltage(self) -> bool:
         """Whether the drive may hold a voltage that is not in its samples for whole ones: neither its voltage nor its
         current is measured as that of a control loop which is faster."""
-        return not self.measures_voltage and self.current != "mean"
+        return not self.follows_current
 
     @property
     def words(self) -> str:

@@ -40,8 +40,8 @@ _LONG_S = 0.007
 #: 224 standard deviations away; shorter ones cost as much again: docs/benchmarks.md), and a filter's step, which is
 #: compiled with its parts, has so many (a friction's speed is ten times as exact).
 _PIECE_S, _PARTS = 0.0025, 4
-#: And so many at least where it shows the mean of a current over each: by Simpson's rule 0.6 % of it for a winding four
-#: times as fast as a piece. Even.
+#: And so many at least, an even number, where it shows the mean of a current over each, by Simpson's rule: L comes out
+#: 0.2 % short of a winding of 0.15 samples, 0.7 % of 0.1, and 3 % of 0.05, where the residual tells it.
 _OF_A_MEAN = 8
 
 

@@ -18,20 +18,18 @@ import linecache
 import math
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tests.recovery.calibration.watched import thresholds
+from tests.recovery.calibration.watched import put, thresholds
 from tests.recovery.tracking.starts import run_start
 from tests.recovery.tracking.witness import AGEING_SECONDS, run_witness, runs_of
 
 PACKAGES = ("servo_daemon.regression", "servo_daemon.tracking", "servo_daemon.kalman")
-NOT_TRIED = re.compile(r"not tried")
 FACTORS = (0.5, 2.0)
 #: Numbers of the starts, s of each; each fifth run of the witness' motors, motions and seeds.
 _STARTS, _START_S, _EVERY = range(3000, 3020), 20.0, 5
@@ -60,23 +58,7 @@ def says_not_tried(constant: str) -> bool:
     above = at - 1
     while lines[above].startswith("#:"):
         above -= 1
-    return bool(NOT_TRIED.search(" ".join(lines[above + 1 : at])))
-
-
-@contextmanager
-def put(constant: str, new: Any) -> Iterator[None]:
-    """Every module that holds this constant holds another value meanwhile."""
-    module, name = constant.rsplit(".", 1)
-    old = vars(sys.modules[f"servo_daemon.{module}"])[name]
-    own = [m for n, m in list(sys.modules.items()) if n.split(".")[0] == "servo_daemon" and m is not None]
-    holders = [m for m in own if vars(m).get(name) is old]
-    for holder in holders:
-        setattr(holder, name, new)
-    try:
-        yield
-    finally:
-        for holder in holders:
-            setattr(holder, name, old)
+    return "not tried" in " ".join(line.removeprefix("#:").strip() for line in lines[above + 1 : at])
 
 
 def scaled(value: Any, factor: float) -> Any:
@@ -133,7 +115,7 @@ def tried(job: tuple[str | None, float]) -> dict[str, Any]:
     if constant is None:
         return {"constant": None, "factor": factor, "figures": figures()}
     value = constants()[constant]
-    with put(constant, scaled(value, factor)):
+    with put([(constant.rsplit(".", 1)[1], value, scaled(value, factor))]):
         try:
             found: Figures = figures()
         except Exception as error:  # a value may be out of the question

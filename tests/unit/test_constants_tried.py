@@ -6,6 +6,7 @@ import pytest
 
 from servo_daemon.tracking.validity import excitation, gates
 from tests.recovery import constants as tool
+from tests.recovery.calibration.watched import put
 
 USUAL = {"converged": 12.0, "wrong": 0.0, "ekf error": 0.01, "ekf wrong": 0.0, "ekf delivered": 0.9}
 
@@ -16,7 +17,8 @@ def test_numbers_and_tuples_of_them_may_be_tried_and_are_put_wherever_they_are_h
     usual = gates._ONE_LINE
     assert every[name] == usual
     assert isinstance(every["tracking.validity.excitation.ENTER"], float)
-    with tool.put(name, 0.5), pytest.raises(RuntimeError), tool.put("tracking.validity.excitation.ENTER", 1.0):
+    others = [("_ONE_LINE", usual, 0.5), ("ENTER", excitation.ENTER, 1.0)]
+    with pytest.raises(RuntimeError), put(others):
         assert (gates._ONE_LINE, excitation.ENTER) == (0.5, 1.0)
         raise RuntimeError
     assert usual == gates._ONE_LINE and every["tracking.validity.excitation.ENTER"] == excitation.ENTER

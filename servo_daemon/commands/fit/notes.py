@@ -35,6 +35,12 @@ _MODULUS = {
     "current_A": "|i| (record the motor's voltage with it, which says its sign: `shows` in docs/captures.md)",
     "voltage_V": "|v| (a formula of the signal map gives it the sign of another column, docs/captures.md)",
 }
+#: What is said of a current that is a mean.
+_MEAN = (
+    "current_A is its mean over each row, not its value at it: R, L, K and J hold some of that, and their standard "
+    "deviations. mend: a line  # current: mean  above the header, or  current = "
+    '"mean"  under [metadata] of a signal map'
+)
 
 
 def result_notes(
@@ -57,11 +63,7 @@ def result_notes(
         for name, effects in equivalents(fit.problem).items()
     ]
     if fit.current_is_mean:
-        notes.append(
-            "current_A is its mean over each row, not its value at it: R, L, K and J hold some of that, and their "
-            "standard deviations. mend: a line  # current: mean  above the header, or  current = "
-            '"mean"  under [metadata] of a signal map'
-        )
+        notes.append(_MEAN)
     if (late_s := fit.current_late_s) is not None:
         notes.append(_late(late_s, fit.problem.sample_period_s))
     if fit.voltage_rows_late and capture is not None:

@@ -136,9 +136,7 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
             begun = replace(
                 options, nominal={**values, **fixed}, fixed=fixed, thorough=False, noise_model="none", misfit=False
             )
-            right = [_put_right(r, late_s, rows_late) for r in recordings]
-            if mean_current:
-                right = [replace(r, block=replace(r.block, current_mean=True)) for r in right]
+            right = [_put_right(r, late_s, rows_late, mean_current=mean_current) for r in recordings]
             return fit_output_error(right, effects, begun)
         return None
 
@@ -148,9 +146,10 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
     return with_misfit(fit, _coordinate_scale(problem, recordings, here), again)
 
 
-def _put_right(recording: Recording, late_s: float, rows_late: int) -> Recording:
-    """With the current that flowed, where it is shown so late, and the voltage from so many rows below, or above."""
-    block = recording.block
+def _put_right(recording: Recording, late_s: float, rows_late: int, *, mean_current: bool) -> Recording:
+    """With the current that flowed, where it is shown so late, or as the mean that it is, and the voltage from so many
+    rows below, or above."""
+    block = replace(recording.block, current_mean=recording.block.current_mean or mean_current)
     if late_s and block.current_A is not None:
         block = replace(block, current_A=unfiltered(block.time_s, block.current_A, late_s))
     if rows_late and block.voltage_V is not None:

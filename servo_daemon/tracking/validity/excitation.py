@@ -129,11 +129,6 @@ class Excitation:
         nothing; shape (n,)."""
         return self._systematic_std
 
-    @property
-    def rate(self) -> F64:
-        """Information that the filter gained of each coordinate in a second of the window, shape (n,)."""
-        return self._sum / max(self._sum_s, 1e-9)
-
     def std(self) -> F64:
         """What the samples of the window alone would leave of each coordinate, 1 σ over its scale; shape (n,)."""
         return np.asarray(1.0 / (np.sqrt(np.maximum(self._sum, 1e-300)) * self.scales))

@@ -12,7 +12,7 @@ import importlib
 import inspect
 import pkgutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -167,19 +167,29 @@ def watching(*packages: str) -> Iterator[dict[str, Notes]]:
     """Notes of all thresholds of packages by "package.module.NAME" (without servo_daemon), wherever they were imported
     to, while it lasts."""
     notes: dict[str, Notes] = {}
+    wrapped = [
+        (name, value, _wrapped(f"{where.__name__.removeprefix(_ROOM)}.{name}", value, notes))
+        for package in packages
+        for where, name, value in thresholds(package)
+    ]
+    with put(wrapped):
+        yield notes
+
+
+@contextmanager
+def put(constants: Iterable[tuple[str, Any, Any]]) -> Iterator[None]:
+    """Names, values, and what every module of the project that holds such a one holds instead while it lasts."""
     replaced: list[tuple[Any, str, Any]] = []
-    every = [t for package in packages for t in thresholds(package)]
     own = [m for n, m in list(sys.modules.items()) if n.split(".")[0] == "servo_daemon" and m is not None]
     try:
-        for where, name, value in every:
-            new = _wrapped(f"{where.__name__.removeprefix(_ROOM)}.{name}", value, notes)
+        for name, value, new in constants:
             if new is value:
                 continue
             for module in own:
                 if vars(module).get(name) is value:
                     replaced.append((module, name, value))
                     setattr(module, name, new)
-        yield notes
+        yield
     finally:
         for module, name, value in replaced:
             setattr(module, name, value)

@@ -123,22 +123,24 @@ def test_changes_within_the_time_of_a_winding_that_was_none_are_forgotten() -> N
     assert after_one > 0.2
 
 
-@pytest.mark.parametrize("sensor_A", [0.001, 0.05])
+@pytest.mark.parametrize(("sensor_A", "hidden_V"), [(0.001, 0.0), (0.05, 0.0), (0.01, 0.05)])
 @pytest.mark.parametrize("L", [0.02, 0.005, 0.0015, 0.0005])
 @pytest.mark.parametrize(("memory", "size_V"), [(0.0, 0.2), (0.9, 0.18), (0.98, 1.0)])
 def test_no_filter_of_the_current_is_off_by_more_than_what_steps_leave_of_L(
-    memory: float, size_V: float, L: float, sensor_A: float
+    memory: float, size_V: float, L: float, sensor_A: float, hidden_V: float
 ) -> None:
-    """A winding is simulated, its voltage (white to slow) recorded in steps, and L is where the mean of derivative
-    times innovation of a steady Kalman filter vanishes."""
+    """A winding is simulated, its voltage (white to slow, with a noise that is not recorded) recorded in steps, and L
+    is where the mean of derivative times innovation of a steady Kalman filter vanishes."""
     R, h, lsb, n = 1.0, 1e-3, 0.1, 100_000
     rng = np.random.default_rng(7)
     w = lfilter([math.sqrt(1.0 - memory**2)], [1.0, -memory], rng.normal(size=n) * size_V)
-    current = lfilter([0.0, -math.expm1(-h * R / L) / R], [1.0, -math.exp(-h * R / L)], w)
+    current = lfilter(
+        [0.0, -math.expm1(-h * R / L) / R], [1.0, -math.exp(-h * R / L)], w + hidden_V * rng.normal(size=n)
+    )
     y, u = current + sensor_A * rng.normal(size=n), lsb * np.round(w / lsb)
-    x, P = h * R / L, sensor_A**2
+    x, P, noise_V2 = h * R / L, sensor_A**2, hidden_V**2 + lsb**2 / 12
     for _ in range(1000):
-        P = math.exp(-2 * x) * P * sensor_A**2 / (P + sensor_A**2) + (math.expm1(-x) / R) ** 2 * lsb**2 / 12
+        P = math.exp(-2 * x) * P * sensor_A**2 / (P + sensor_A**2) + (math.expm1(-x) / R) ** 2 * noise_V2
     kappa = P / (P + sensor_A**2)
 
     def innovations(log_L: float) -> F64:

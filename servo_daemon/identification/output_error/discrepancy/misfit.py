@@ -87,14 +87,14 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
     far = [] if moved is None else [moved[0]]
     if law is not None and is_cut_off(moved_to(law, fit)):
         far.append(law)
-    elif law is not None:
-        inside = np.column_stack([inside, moved_to(law, fit)])
+        law = None
     means = by_mean_current(fit, again) if square else None
-    inside = inside if means is None else np.column_stack([inside, moved_to(means, fit)])
     filtered = by_late_current(fit, again) if square and means is None else None
-    inside = inside if filtered is None else np.column_stack([inside, filtered[0]])
     unheld = by_unheld_voltage(fit, again) if square else None
-    inside = inside if unheld is None else np.column_stack([inside, unheld])
+    moves = [moved_to(other, fit) for other in (law, means) if other is not None]
+    moves += [] if filtered is None else [filtered[0]]
+    moves += [] if unheld is None else [unheld]
+    inside = np.column_stack([inside, *moves])
     seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
     added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
     added = np.column_stack([added, *(moved_to(other, fit) for other in far)])
