@@ -85,7 +85,7 @@ def test_the_last_will_tells_of_a_lost_connection(broker: Broker) -> None:
         robber.disconnect()
         robber.loop(0.1)
         wait_for(lambda: ear.of(STATUS)[-1] == b"online", "connected again")
-        assert sink.state.reconnects >= 1
+        wait_for(lambda: sink.state.reconnects >= 1, "the reconnection is counted")  # after the broker has told it
 
 
 def test_home_assistant_is_told_of_every_entity(broker: Broker) -> None:
