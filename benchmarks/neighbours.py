@@ -4,7 +4,7 @@
 numbers that are none, jumps of time, restarts, noise between frames. Each device is a process of its own that plays
 samples made beforehand, so that the simulation's cost is not the daemon's. Latency is from a frame's last byte written
 to the first REST answer that contains it; the six are asked one after another, nearly 200 times a second. It is
-measured from when all six have worked off what came while eight drives started, which is told as well.
+measured from when all six have worked off their starts and what came meanwhile, which is told as well.
 
     .venv/bin/python -m benchmarks.neighbours                one minute
     .venv/bin/python -m benchmarks.neighbours --seconds 20
@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.daemon import RATE_HZ, REQUESTS_PER_S, Api, cpu_s, daemon, table
+from benchmarks.daemon import RATE_HZ, REQUESTS_PER_S, STARTED_S, Api, cpu_s, daemon, table
 from drivers.base import DriveInfo
 from servo_daemon.errors import EndOfStreamError
 from servo_daemon.samples import SampleBlock
@@ -37,8 +37,8 @@ from servo_daemon.simulate import DEFAULT_NOMINAL, SimulatedDrive, make_settings
 
 ORDINARY, FILTERPY, GARBAGE = 6, 6, 7
 LIMIT_MS = 100.0
-#: Played before anything is measured, and room for a slow start, s.
-SETTLE_S, SPARE_S = 8.0, 80.0
+#: Room for a slow start, s.
+SPARE_S = 80.0
 #: A drive has worked off its start once what is published is younger, s.
 LIVE_S = 0.5
 _NOMINAL = "[drive.nominal]\n" + "".join(f"{k} = {v}\n" for k, v in DEFAULT_NOMINAL.items())
@@ -115,20 +115,22 @@ def devices(seconds: float, folder: Path) -> Iterator[list[Path]]:
 
 
 def started(api: Api) -> float:
-    """Wait until none of the six is behind from its start. Returns how long that took, s.
+    """Wait until the start of each of the six is over and none is behind from it. Returns how long that took, s.
 
     Raises:
         SystemExit: within `SPARE_S` they are not.
     """
     began = time.monotonic()
     while time.monotonic() < began + SPARE_S:
-        times = [api.get(f"/drives/axis{k}/estimates")["time"] for k in range(ORDINARY)]
-        if all(
-            t is not None and datetime.now(UTC) - datetime.fromisoformat(t) < timedelta(seconds=LIVE_S) for t in times
-        ):
+        drives = [api.get(f"/drives/axis{k}/estimates") for k in range(ORDINARY)]
+        if all((d["samples"] or 0) > STARTED_S * RATE_HZ and age(d["time"]) < timedelta(seconds=LIVE_S) for d in drives):
             return time.monotonic() - began
         time.sleep(0.2)
     raise SystemExit(f"an ordinary drive is behind still after {SPARE_S:.0f} s")
+
+
+def age(time: str) -> timedelta:
+    return datetime.now(UTC) - datetime.fromisoformat(time)
 
 
 def watch(api: Api, seconds: float) -> list[list[tuple[int, float]]]:
@@ -168,12 +170,11 @@ def main() -> None:
     seconds: float = parser.parse_args().seconds
     with tempfile.TemporaryDirectory() as name:
         folder, numbers = Path(name), range(ORDINARY + 2)
-        with devices(seconds + SETTLE_S + SPARE_S, folder) as links:
+        with devices(seconds + SPARE_S, folder) as links:
             tables = [table(k, link, _SLOW if k == FILTERPY else _PLAIN) for k, link in enumerate(links)]
             with daemon(tables, folder) as (pid, port):
                 api = Api(port)
                 took_s = started(api)
-                time.sleep(max(0.0, SETTLE_S - took_s))
                 paths = [f"/drives/axis{k}/estimates" for k in numbers]
                 first, cpu, load = [api.get(p) for p in paths], cpu_s(pid), os.getloadavg()[0]
                 answers = watch(api, seconds)

@@ -42,6 +42,10 @@ _WATCH_S = 0.02
 _STOP_S = 1.2
 #: A drive that goes has so long to work off what came before, s: an estimator that is being made may take ten.
 _LEAVE_S = 15.0
+#: The longest cycle in which a drive's samples are judged, s: of each calm one the balances are asked so often
+#: (`regression/motor_rls.py`). Drives that begin spread over it have that work one after the other. (Six that began
+#: together had 60 ms of it at once, every two seconds.)
+_CYCLE_S = 2.0
 _BY_DRIVE: tuple[How, ...] = ("again", "new", "gone")
 
 
@@ -147,8 +151,8 @@ class Daemon:
         self._learning.start()
         for other in self._beside:
             other.start()
-        for runtime in self.drives.values():
-            runtime.reader.start()
+        for number, runtime in enumerate(self.drives.values()):
+            runtime.reader.start(after_s=number * _CYCLE_S / len(self._slots))
 
     def begin_stop(self) -> None:
         """Ask everything to end without waiting: open streams see it at once."""

@@ -141,10 +141,16 @@ class Reader:
         self._brought = False  # samples came in this attempt
         self._barren = False  # the last attachment brought none (yet)
         self._said_up = self._complained = False
+        self._wait_first_s = 0.0
         self._link = Link("connecting", "not opened yet", time.monotonic())
         self._thread = threading.Thread(target=self._run, name=f"reader-{driver.name}", daemon=True)
 
-    def start(self) -> None:
+    def start(self, after_s: float = 0.0) -> None:
+        """
+        Args:
+            after_s: the device is opened so much later.
+        """
+        self._wait_first_s = after_s
         self._thread.start()
 
     def request_stop(self) -> None:
@@ -183,6 +189,7 @@ class Reader:
     def _run(self) -> None:
         pause = _BACKOFF_FIRST_S
         try:
+            self._stop.wait(self._wait_first_s)
             while not self._stop.is_set():
                 self._brought = False
                 error = self._serve()

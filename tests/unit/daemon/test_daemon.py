@@ -96,6 +96,14 @@ def test_a_slow_worker_loses_the_oldest_and_says_how_many(
     assert snapshot.estimate.samples == 3000, "what was not dropped is used"
 
 
+def test_drives_begin_one_after_another(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else what each has to do every two seconds is done by all at the same moment."""
+    begun_s: list[float] = []
+    monkeypatch.setattr(reader_module.Reader, "start", lambda _, after_s: begun_s.append(after_s))
+    start(configuration("one", "two", "three", "four"))
+    assert begun_s == [0.0, 0.5, 1.0, 1.5]
+
+
 def test_one_of_two_drives_dies(start: Callable[..., Rig], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(load, "LATE_S", math.inf)  # however long the second waits for the first one's start
     rig = start(configuration("one", "two"))

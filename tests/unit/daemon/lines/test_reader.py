@@ -305,6 +305,18 @@ def test_a_queue_gives_whole_blocks_of_about_so_many_samples() -> None:
     assert queue.samples == 0 and queue.dropped == 0
 
 
+def test_a_device_is_opened_later_where_that_is_asked_and_not_at_all_after_a_stop() -> None:
+    w, began = Watched(Scripted([block(0)])), time.monotonic()
+    w.reader.start(after_s=0.05)
+    w.until(lambda: w.reader.queue.samples, "opened")
+    assert time.monotonic() - began >= 0.05
+    w.reader.stop(PATIENCE_S)
+    stopped = Watched(Scripted([block(0)]))
+    stopped.reader.start(after_s=2 * PATIENCE_S)
+    stopped.reader.stop(PATIENCE_S)
+    assert not stopped.reader.alive and stopped.said == [] and stopped.reader.queue.samples == 0
+
+
 def test_a_source_that_can_wait_is_read_no_faster_than_it_is_worked_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader_module, "_AHEAD_SAMPLES", 25)
     driver = Scripted([block(first) for first in range(0, 1000, 10)])
