@@ -123,7 +123,8 @@ def started(api: Api) -> float:
     began = time.monotonic()
     while time.monotonic() < began + SPARE_S:
         drives = [api.get(f"/drives/axis{k}/estimates") for k in range(ORDINARY)]
-        if all((d["samples"] or 0) > STARTED_S * RATE_HZ and age(d["time"]) < timedelta(seconds=LIVE_S) for d in drives):
+        over = all((d["samples"] or 0) > STARTED_S * RATE_HZ for d in drives)
+        if over and all(age(d["time"]) < timedelta(seconds=LIVE_S) for d in drives):
             return time.monotonic() - began
         time.sleep(0.2)
     raise SystemExit(f"an ordinary drive is behind still after {SPARE_S:.0f} s")
