@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import resource
 import signal
 import threading
 from dataclasses import replace
@@ -18,8 +20,8 @@ from servo_daemon.fleet.cluster import cluster, results
 from servo_daemon.fleet.units import Unit
 from servo_daemon.learning.model.model_file import load_model
 from tests.can_tools import wait_for
-from tests.recovery.deadly_work import deadly
 from tests.recovery.many_drives import draw, record
+from tests.recovery.worker_work import deadly, page_faults
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
 
@@ -113,6 +115,15 @@ def test_a_worker_that_dies_costs_no_result_but_that_of_what_kills_it(tmp_path: 
     assert set(found) == {"a", "once", "b", "always", "c"}
     assert "KilledWorker" in found["always"]["error"]
     assert all("error" not in d for name, d in found.items() if name != "always")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library has its own way of keeping memory")
+def test_workers_keep_freed_memory() -> None:
+    """A fit of 20 s took more than twice as long in a worker that asks the system for each array's memory anew."""
+    with cluster(None, 1) as client:
+        ((_, document),) = results(client, [Unit("a", (), ())], page_faults, ())
+    assert document["faults"] < 0.1 * 100 * 8_000_000 / resource.getpagesize()
 
 
 def test_no_scheduler_is_said(captures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
