@@ -28,8 +28,10 @@ def main() -> int:
         page.look(arguments.width, 900, dark=arguments.dark)
         page.open(arguments.url)
         page.until("document.body.innerText.length > 0")
-        if page.evaluate("document.getElementById('parameters') !== null && document.getElementById('fleet').hidden"):
-            page.until("document.querySelectorAll('#parameters .card canvas').length >= 5")
+        charts = "document.querySelectorAll('#parameters .card canvas').length >= 5"
+        if page.evaluate("document.getElementById('parameters') !== null"):  # else it is a report
+            page.until(f"!document.getElementById('fleet').hidden || {charts}")
+        if page.evaluate(charts):
             choose = "const w = document.getElementById('window'); w.value = '%s'; w.dispatchEvent(new Event('change'))"
             page.evaluate(f"(() => {{ {choose % arguments.window} }})()")
         time.sleep(arguments.seconds)
