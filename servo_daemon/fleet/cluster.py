@@ -59,7 +59,7 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
     except ImportError:
         raise ServoDaemonError("fleet needs Dask: pip install 'servo-daemon[dask]'") from None
     dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS})
-    _keep_freed_memory()
+    _spare_workers()
     logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
     if address is not None:
         with scheduler(address) as client:
@@ -83,14 +83,15 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
         yield stack.enter_context(Client(local, set_as_default=False))  # type: ignore[no-untyped-call]
 
 
-def _keep_freed_memory() -> None:
-    """Workers keep freed memory as any process does. (By Dask's default they give it back at once and get it from the
-    system again for the next array: half of the time of fits of 20 s.)"""
+def _spare_workers() -> None:
+    """Workers keep freed memory as any process does, and are not watched at work. (By Dask's default they give it back at
+    once and get it from the system again for the next array, half of the time of fits of 20 s; and note a hundred times
+    a second where they are, which they keep: 0.4 MB a fit.)"""
     import dask
 
     key = "distributed.nanny.pre-spawn-environ"
     kept = {name: value for name, value in dask.config.get(key).items() if name != "MALLOC_TRIM_THRESHOLD_"}
-    dask.config.set({key: kept})
+    dask.config.set({key: kept, "distributed.worker.profile.enabled": False})
 
 
 @contextmanager
