@@ -3,8 +3,8 @@
     python -m benchmarks.fleet                              # 200 drives, one capture of 2 s each
     python -m benchmarks.fleet --drives 1000 --seconds 20   # 40 minutes; 20 with --alone 200
 
-Efficiency is that of two workers against one, a drive: half of the one's time is 100 %. On a machine of two cores the scheduler
-and the client have no core of their own. Overhead is what a unit without work costs.
+Efficiency is that of two workers against one, a drive: half of the one's time is 100 %. On a machine of two cores the
+scheduler and the client have no core of their own. Overhead is what a unit without work costs.
 """
 
 from __future__ import annotations

@@ -84,9 +84,10 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
 
 
 def _spare_workers() -> None:
-    """Workers keep freed memory as any process does, and are not watched at work. (By Dask's default they give it back at
-    once and get it from the system again for the next array, half of the time of fits of 20 s; and note a hundred times
-    a second where they are, which they keep: 0.4 MB a fit.)"""
+    """Workers keep freed memory as any process does, and are not watched at work. (By Dask's default they give it back
+    at once and get it from the system again for the next array, half of the time of fits of 20 s, and note a hundred
+    times a second where they are: 0.4 MB a fit, for an hour.)
+    """
     import dask
 
     key = "distributed.nanny.pre-spawn-environ"
