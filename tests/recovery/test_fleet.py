@@ -121,8 +121,8 @@ def test_a_worker_that_dies_costs_no_result_but_that_of_what_kills_it(tmp_path: 
 @pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library has its own way of keeping memory")
 def test_workers_keep_freed_memory_and_no_notes_of_where_they_were() -> None:
-    """A fit of 20 s took more than twice as long in a worker that asks the system for each array's memory anew; notes of
-    500 of them took 200 MB."""
+    """A fit of 20 s took more than twice as long in a worker that asks the system for each array's memory anew; notes
+    of 500 of them took 200 MB."""
     with cluster(None, 1) as client:
         ((_, document),) = results(client, [Unit("a", (), ())], page_faults, ())
         assert list(client.run(dask.config.get, "distributed.worker.profile.enabled").values()) == [False]
