@@ -129,7 +129,7 @@ _MISNAMED: Mapping[str, Callable[[Draw], Dressed]] = {
     ),
     "ms called s": _misnamed(lambda d, r: {"time_s": 1e3 * r.t}, r"milliseconds"),
     "a full 16-bit counter": _misnamed(
-        lambda d, r: {"position_rad": np.mod(r.counts + 65_400, 65_536)},
+        lambda d, r: {"position_rad": np.mod(r.counts - (np.min(r.counts) + np.max(r.counts)) // 2, 65_536)},
         r"wrap = 65536",
         put=lambda r: {"counts_per_rev": f"{r.counts_per_rev:g}"},
     ),
@@ -141,8 +141,8 @@ _MISNAMED: Mapping[str, Callable[[Draw], Dressed]] = {
         left_out=True,
         put=lambda r: {"supply_V": f"{r.motor.supply_V:g}"},
     ),
-    "a current turned round": _misnamed(lambda d, r: {"current_A": -r.i}, r"counts against|sign turned"),
-    "an encoder turned round": _misnamed(lambda d, r: {"position_rad": -r.x}, r"counts against|sign turned"),
+    "a current turned round": _misnamed(lambda d, r: {"current_A": -r.i}, r"counts against|sign (is )?turned"),
+    "an encoder turned round": _misnamed(lambda d, r: {"position_rad": -r.x}, r"counts against|sign (is )?turned"),
 }
 
 
