@@ -59,7 +59,6 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
     except ImportError:
         raise ServoDaemonError("fleet needs Dask: pip install 'servo-daemon[dask]'") from None
     dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS})
-    _spare_workers()
     logging.getLogger("distributed").setLevel(logging.WARNING)  # it tells of every connection
     if address is not None:
         with scheduler(address) as client:
@@ -70,13 +69,14 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
     logging.getLogger("distributed").setLevel(logging.ERROR)  # workers that are ended in the middle of their work
     # Estimation computes in one thread; several that share a core wait for each other.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    _spare_workers()
     with ExitStack() as stack:
         with _interrupts_ignored():
             local = LocalCluster(  # type: ignore[no-untyped-call]
                 n_workers=workers or os.cpu_count() or 1,
                 threads_per_worker=1,
                 host="127.0.0.1",
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # None: port 8787, which two of them on a machine cannot both have
                 silence_logs=logging.ERROR,  # workers that are interrupted warn of every task
             )
             stack.enter_context(local)
@@ -84,9 +84,9 @@ def cluster(address: str | None, workers: int | None = None) -> Iterator[Client]
 
 
 def _spare_workers() -> None:
-    """Workers keep freed memory as any process does, and are not watched at work. (By Dask's default they give it back
-    at once and get it from the system again for the next array, half of the time of fits of 20 s, and note a hundred
-    times a second where they are: 0.4 MB a fit, for an hour.)
+    """Workers of this machine keep freed memory as any process does, and are not watched at work. (By Dask's default
+    they give it back at once and get it from the system again for the next array, half of the time of fits of 20 s, and
+    note a hundred times a second where they are: half a megabyte a fit, for an hour.)
     """
     import dask
 

@@ -13,7 +13,7 @@ from servo_daemon.fleet.cluster import _interrupts_ignored, cluster
 def test_a_scheduler_without_workers_is_told(caplog: pytest.LogCaptureFixture) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
     with (
-        distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=None) as local,
+        distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0") as local,
         cluster(local.scheduler_address),
     ):
         assert "no worker yet" in caplog.text
