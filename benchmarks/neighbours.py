@@ -131,6 +131,7 @@ def started(api: Api) -> float:
 
 
 def age(time: str) -> timedelta:
+    """Of a sample with this time by the host's clock, ISO 8601."""
     return datetime.now(UTC) - datetime.fromisoformat(time)
 
 
