@@ -16,6 +16,7 @@ from drivers.moteus import fdcanusb, query, telemetry
 from drivers.moteus.answers import Answers
 from drivers.polling.can_link import Frame, pack, padded
 from drivers.polling.poller import Reply, Request
+from drivers.polling.when import ShortestTrip
 from servo_daemon.errors import WireError
 from servo_daemon.samples import F64
 
@@ -120,6 +121,7 @@ class Moments:
 
     def __init__(self) -> None:
         self._last: dict[str, tuple[float, float]] = {}
+        self._trip = ShortestTrip()
 
     def earlier(self, name: str, values: F64, sent_s: F64, received_s: F64) -> F64:
         """Values, shape (n,), of the time at which the voltage was asked for.
@@ -132,4 +134,4 @@ class Moments:
         self._last[name] = float(sent_s[-1]), float(values[-1])
         change = np.diff(values, prepend=before) / np.maximum(np.diff(sent_s, prepend=before_s), 1e-4)
         change[~np.isfinite(change)] = 0.0
-        return np.asarray(values - change * (received_s - sent_s) * (REGISTERS_AFTER / FRAMES))
+        return np.asarray(values - change * self._trip.after(sent_s, received_s) * (REGISTERS_AFTER / FRAMES))

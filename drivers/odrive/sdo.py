@@ -35,9 +35,10 @@ from drivers.polling.driver import PollingDriver
 from drivers.polling.link import Link
 from drivers.polling.placing import Placing
 from drivers.polling.poller import Answer, Pace, Reply, Request
+from drivers.polling.when import ShortestTrip
 from servo_daemon.errors import DriverConfigError, DriverError
 from servo_daemon.samples import F64, Quality, SampleBlock
-from servo_daemon.signal_meaning import SignalMeaning
+from servo_daemon.signal_meaning import CONTROL_PERIOD_S, SignalMeaning
 
 #: Commands of CAN Simple, and the opcode of an endpoint that is read.
 GET_VERSION, RX_SDO, TX_SDO = 0x00, 0x04, 0x05
@@ -52,6 +53,9 @@ ENDPOINTS = (
 )
 #: That in the middle: the others are taken to its moment.
 _MIDDLE = 2
+#: Where in a round trip the drive takes its values no answer tells: between all at once, as the requests come, and
+#: evenly until the last answer. They are taken as spread over half of the shortest trip, and may be off by as much.
+_SPREAD = 0.5
 #: Rounds are at least so far apart.
 _SHORTEST_S = 1e-4
 _VERSION, _SAMPLE = 1, 0  # tags
@@ -176,10 +180,15 @@ class SdoOdrive(PollingDriver[Told]):
         self._placing = Placing(self.counters)
         self._dialogue = SdoDialogue(settings.node_id, self.endpoints, self._firmware)
         self._before: tuple[F64, F64] | None = None  # times and values of the last round
+        self._trip = ShortestTrip()
 
     @property
     def meaning(self) -> SignalMeaning:
-        return SignalMeaning("instant", "instant", "dq", MEANING.publish, self._settings.pole_pairs)
+        trip_s = self._trip.value_s
+        apart_s = _SPREAD * trip_s if math.isfinite(trip_s) else CONTROL_PERIOD_S
+        return SignalMeaning(
+            "instant", "instant", "dq", MEANING.publish, self._settings.pole_pairs, control_period_s=apart_s
+        )
 
     @property
     def info(self) -> DriveInfo:
@@ -217,9 +226,10 @@ class SdoOdrive(PollingDriver[Told]):
 
     def _of_one_moment(self, told: F64, rounds: list[Answer[Told]]) -> F64:
         """Values, shape (n, 5), as they were when the middle one was read: by how they have changed since the round
-        before. They are read evenly between request and answer."""
+        before."""
         sent_s, received_s = np.array([(a.sent_s, a.received_s) for a in rounds]).T
-        at_s = sent_s[:, None] + (received_s - sent_s)[:, None] * (np.arange(1, 1 + len(ENDPOINTS)) / len(ENDPOINTS))
+        share = np.arange(1, 1 + len(ENDPOINTS)) / len(ENDPOINTS)
+        at_s = sent_s[:, None] + _SPREAD * self._trip.after(sent_s, received_s) * share
         before_s, before = (at_s[:1], told[:1]) if self._before is None else self._before
         self._before = at_s[-1:], told[-1:]
         apart_s = np.maximum(np.diff(at_s, axis=0, prepend=before_s), _SHORTEST_S)

@@ -52,3 +52,20 @@ class SampleTimes:
             time_s = max(last_s + _MIN_STEP_S, min(received_s, max(sent_s, last_s + step_s)))
         self._last = (time_s, sent_s, angle, speed)
         return time_s
+
+
+class ShortestTrip:
+    """Of a drive's round trips the shortest one: what the wire and the drive take. Longer ones waited for the host, and
+    tell nothing of when the values were taken.
+
+    Attributes:
+        value_s: infinite before the first.
+    """
+
+    def __init__(self) -> None:
+        self.value_s = math.inf
+
+    def after(self, sent_s: F64, received_s: F64) -> float:
+        """Seconds, with these trips too, shapes (n,), n ≥ 1."""
+        self.value_s = min(self.value_s, float(np.min(received_s - sent_s)))
+        return self.value_s

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from drivers.moteus import fdcanusb, query, telemetry
 from drivers.moteus.drive import MoteusDriver
 from drivers.moteus.voltage import VoltageQuery, may_send, voltages
 from drivers.polling.can_link import Frame, pack, padded, unpack
+from drivers.polling.poller import Reply
 from drivers.registry import make_driver
 from servo_daemon.errors import WireError
 from servo_daemon.sim_drive.makes.foc import FocDrive, Pmsm, RunningFoc
@@ -38,13 +40,20 @@ class TestMoteusVoltage(OnAPort):
         assert set(bytes(rig.heard).split(b"\n")) <= {*allowed, b""}
 
 
-def test_the_voltage_tells_r_and_k() -> None:
+@pytest.mark.parametrize("late_s", [0.0, 3e-3], ids=["in time", "a busy host: every other answer is read late"])
+def test_the_voltage_tells_r_and_k(late_s: float) -> None:
     motor, clock = Pmsm(), Clock()
     driver = make_driver("moteus", "axis1", {"port": "lockstep", "signal": "voltage", "pole_pairs": 7})
     assert isinstance(driver, MoteusDriver)
     device = Fdcanusb(Moteus(FocMotor(RunningFoc(FocDrive(motor), clock)), torque_constant=motor.Kt))
     dialogue = driver._new_dialogue()
-    exchange = by_lines(dialogue, device, clock)
+    by_line, late = by_lines(dialogue, device, clock), itertools.cycle((late_s, 0.0))
+
+    def exchange(data: bytes) -> Sequence[Reply[Any]]:
+        replies = by_line(data)
+        clock.now_s += next(late)
+        return replies
+
     assert_told_by_its_voltage(motor, driver, exchanged(driver, dialogue, exchange, clock, 200.0, 2400))
 
 

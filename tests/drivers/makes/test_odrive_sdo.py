@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,8 +27,8 @@ from tests.drivers.makes.conformance import OnABus
 from tests.drivers.makes.rig import Silent, line
 from tests.recovery.foc.lockstep import Clock, assert_told_by_its_voltage, exchanged
 
-#: From one frame to the next on a bus of 500 kbit/s.
-FRAME_S = 2.6e-4
+#: A request with 4 bytes and an answer with 8 on a bus of 500 kbit/s, with stuffing.
+REQUEST_S, ANSWER_S = 1.8e-4, 2.6e-4
 
 
 def endpoints_file(folder: Path, fw_version: str = "0.6.10-1", **instead: Any) -> str:
@@ -73,23 +74,33 @@ class TestOdriveBySdo(OnABus):
         }
 
 
-def test_the_voltage_tells_r_and_k(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("at_once", "late_s", "most"),
+    [
+        pytest.param(True, 0.0, 0.01, id="requests go before answers: the smaller identifier"),
+        pytest.param(False, 0.0, 0.03, id="an adapter that sends the next when the last is answered"),
+        pytest.param(True, 4e-3, 0.01, id="a busy host: every other answer is read late"),
+    ],
+)
+def test_the_voltage_tells_r_and_k(tmp_path: Path, at_once: bool, late_s: float, most: float) -> None:
     motor, clock = Pmsm(), Clock()
     options = {"interface": "virtual", "channel": "x", "endpoints": endpoints_file(tmp_path), "pole_pairs": 7}
     driver = make_driver("odrive", "axis1", options)
     assert isinstance(driver, SdoOdrive)
     node = OdriveNode(RunningFoc(FocDrive(motor), clock))
     dialogue = driver._new_dialogue()
+    late = itertools.cycle((late_s, 0.0))
 
     def exchange(data: bytes) -> list[Reply[Any]]:
-        replies: list[Reply[Any]] = []
-        for frame in unpack(data):  # every read is answered two frames after the one before it
-            clock.now_s += 2.0 * FRAME_S
-            for answer in node.receive(BusFrame(frame.key, frame.data)):
-                replies += dialogue.feed(pack(Frame(answer.frame_id, answer.data)))
-        return replies
+        answers: list[bytes] = []
+        for frame in unpack(data):
+            clock.now_s += REQUEST_S
+            answers += (pack(Frame(a.frame_id, a.data)) for a in node.receive(BusFrame(frame.key, frame.data)))
+            clock.now_s += 0.0 if at_once else ANSWER_S
+        clock.now_s += ANSWER_S * len(answers) * at_once + next(late)
+        return dialogue.feed(b"".join(answers))
 
-    assert_told_by_its_voltage(motor, driver, exchanged(driver, dialogue, exchange, clock, 200.0, 2400))
+    assert_told_by_its_voltage(motor, driver, exchanged(driver, dialogue, exchange, clock, 100.0, 2400), most)
 
 
 def test_endpoints_of_another_firmware_are_not_read(tmp_path: Path) -> None:

@@ -90,23 +90,25 @@ def joined(blocks: Iterable[SampleBlock], most: int = 40) -> Iterator[SampleBloc
 
 def claimed(driver: Driver, blocks: Iterable[SampleBlock]) -> dict[str, tuple[float, float]]:
     """What is tracked at the end: value and standard deviation by name."""
-    pipeline = Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
+    pipeline: Pipeline | None = None
     for block in joined(blocks):
+        pipeline = pipeline or Pipeline(DriveConfig(), driver.info, meaning=driver.meaning)
         pipeline.process(block, rows=False)
+    assert pipeline is not None
     estimate = pipeline.finish() or pipeline.current()
     assert estimate is not None
     tracked = {p.name: (p.value, p.std) for p in estimate.parameters if p.status == "tracking"}
     return {name: (value, std) for name, (value, std) in tracked.items() if value is not None and std is not None}
 
 
-def assert_told_by_its_voltage(motor: Pmsm, driver: Driver, blocks: Iterable[SampleBlock]) -> None:
-    """R and K are claimed and no inductance; all that is lies within 1 % and 4 of its std."""
+def assert_told_by_its_voltage(motor: Pmsm, driver: Driver, blocks: Iterable[SampleBlock], most: float = 0.01) -> None:
+    """R and K are claimed and no inductance; all that is lies within `most` of the truth and 4 of its std."""
     truth = {"R": 1.5 * motor.R, "K": motor.Kt, "J": motor.J, "B": motor.B}
     found = claimed(driver, blocks)
     assert {"K", "R"} <= set(found) <= set(truth)
     for name, (value, std) in found.items():
         off = abs(value - truth[name])
-        assert off < 0.01 * truth[name] and off < 4.0 * std, (name, value / truth[name], std)
+        assert off < most * truth[name] and off < 4.0 * std, (name, value / truth[name], std)
 
 
 def closed(kind: str, **options: Any) -> Any:
