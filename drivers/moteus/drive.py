@@ -22,13 +22,14 @@ from drivers.can.decode import EXTENDED
 from drivers.can.unwrap import DeviceTime
 from drivers.moteus import fdcanusb, query
 from drivers.moteus.answers import Answers
-from drivers.moteus.voltage import Moments, VoltageQuery, voltages
+from drivers.moteus.voltage import TO_VOLTAGE, VoltageQuery, voltages
 from drivers.options import STRICT, checked
 from drivers.polling.can_link import CanLink, Frame, pack, padded
 from drivers.polling.driver import PollingDriver
 from drivers.polling.link import Link, SerialLink
 from drivers.polling.placing import Placing
 from drivers.polling.poller import Answer, Pace, Reply, Request
+from drivers.polling.when import OneMoment
 from drivers.serial.port import open_port
 from servo_daemon.errors import DriverError
 from servo_daemon.samples import F64, Quality, SampleBlock
@@ -116,7 +117,7 @@ class MoteusDriver(PollingDriver[bytes]):
 
     def _new_query(self) -> Query | VoltageQuery:
         kind = VoltageQuery if self._settings.signal == "voltage" else Query
-        self._moments = Moments()
+        self._one_moment = OneMoment()
         return kind(self._settings.drive_id, text=self._settings.port is not None)
 
     @property
@@ -180,10 +181,9 @@ class MoteusDriver(PollingDriver[bytes]):
         if self._settings.signal == "voltage":
             voltage = voltages([a.value for a in answers])
             sent_s, received_s = np.array([(a.sent_s, a.received_s) for a in answers]).T
-            position, velocity, drive = (
-                self._moments.earlier(name, values, sent_s, received_s)
-                for name, values in (("position", position), ("velocity", velocity), ("current", drive))
-            )
+            registers = np.column_stack((position, velocity, drive))
+            by = np.full(registers.shape[1], TO_VOLTAGE)
+            position, velocity, drive = self._one_moment.moved(registers, sent_s, received_s, by).T.copy()
             quality[np.isnan(voltage)] |= np.uint8(Quality.VOLTAGE_INVALID)
         quality[np.isnan(position)] |= np.uint8(Quality.POSITION_INVALID)
         quality[np.isnan(drive)] |= np.uint8(Quality.CURRENT_INVALID)

@@ -16,7 +16,6 @@ from drivers.moteus import fdcanusb, query, telemetry
 from drivers.moteus.answers import Answers
 from drivers.polling.can_link import Frame, pack, padded
 from drivers.polling.poller import Reply, Request
-from drivers.polling.when import ShortestTrip
 from servo_daemon.errors import WireError
 from servo_daemon.samples import F64
 
@@ -26,6 +25,8 @@ _GET, _SCHEMA = (telemetry.write(f"tel {verb} {_NAME}") for verb in ("get", "sch
 _POLLS = 2
 #: Frames of a round; the voltage is asked for in the first, the registers are read in the second.
 FRAMES, REGISTERS_AFTER = 2 + _POLLS, 1
+#: From the moment of the registers to that of the voltage, as a share of a round trip.
+TO_VOLTAGE = -REGISTERS_AFTER / FRAMES
 _VOLTAGE = struct.Struct("<f")
 
 
@@ -113,25 +114,3 @@ def voltages(values: list[bytes]) -> F64:
     """Of the values of rounds, shape (n,), V; NaN for all that is no number."""
     raw = np.frombuffer(b"".join(v[query.REPLY.itemsize :] for v in values), "<f4").astype(np.float64)
     return np.where(np.isfinite(raw), raw, np.nan)
-
-
-class Moments:
-    """Takes what was read in the second frame of a round to the moment of the first, by how it has changed since the
-    round before."""
-
-    def __init__(self) -> None:
-        self._last: dict[str, tuple[float, float]] = {}
-        self._trip = ShortestTrip()
-
-    def earlier(self, name: str, values: F64, sent_s: F64, received_s: F64) -> F64:
-        """Values, shape (n,), of the time at which the voltage was asked for.
-
-        Args:
-            name: of the signal.
-            sent_s, received_s: shape (n,), of the rounds.
-        """
-        before_s, before = self._last.get(name, (sent_s[0] - 1.0, values[0]))
-        self._last[name] = float(sent_s[-1]), float(values[-1])
-        change = np.diff(values, prepend=before) / np.maximum(np.diff(sent_s, prepend=before_s), 1e-4)
-        change[~np.isfinite(change)] = 0.0
-        return np.asarray(values - change * self._trip.after(sent_s, received_s) * (REGISTERS_AFTER / FRAMES))

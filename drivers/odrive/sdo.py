@@ -35,9 +35,9 @@ from drivers.polling.driver import PollingDriver
 from drivers.polling.link import Link
 from drivers.polling.placing import Placing
 from drivers.polling.poller import Answer, Pace, Reply, Request
-from drivers.polling.when import ShortestTrip
+from drivers.polling.when import OneMoment
 from servo_daemon.errors import DriverConfigError, DriverError
-from servo_daemon.samples import F64, Quality, SampleBlock
+from servo_daemon.samples import Quality, SampleBlock
 from servo_daemon.signal_meaning import CONTROL_PERIOD_S, SignalMeaning
 
 #: Commands of CAN Simple, and the opcode of an endpoint that is read.
@@ -56,8 +56,8 @@ _MIDDLE = 2
 #: Where in a round trip the drive takes its values no answer tells: between all at once, as the requests come, and
 #: evenly until the last answer. They are taken as spread over half of the shortest trip, and may be off by as much.
 _SPREAD = 0.5
-#: Rounds are at least so far apart.
-_SHORTEST_S = 1e-4
+#: From the moment of each to that of the middle one, as shares of the trip.
+_TO_MIDDLE = _SPREAD * (_MIDDLE - np.arange(len(ENDPOINTS))) / len(ENDPOINTS)
 _VERSION, _SAMPLE = 1, 0  # tags
 
 #: The values of `ENDPOINTS`, or the firmware's version.
@@ -179,12 +179,11 @@ class SdoOdrive(PollingDriver[Told]):
         self.endpoints, self._firmware = read_endpoints(Path(settings.endpoints).expanduser(), where)
         self._placing = Placing(self.counters)
         self._dialogue = SdoDialogue(settings.node_id, self.endpoints, self._firmware)
-        self._before: tuple[F64, F64] | None = None  # times and values of the last round
-        self._trip = ShortestTrip()
+        self._one_moment = OneMoment()
 
     @property
     def meaning(self) -> SignalMeaning:
-        trip_s = self._trip.value_s
+        trip_s = self._one_moment.trip_s
         apart_s = _SPREAD * trip_s if math.isfinite(trip_s) else CONTROL_PERIOD_S
         return SignalMeaning(
             "instant", "instant", "dq", MEANING.publish, self._settings.pole_pairs, control_period_s=apart_s
@@ -221,21 +220,8 @@ class SdoOdrive(PollingDriver[Told]):
     def _new_dialogue(self) -> SdoDialogue:
         self._placing.reopen()
         self._dialogue = SdoDialogue(self._settings.node_id, self.endpoints, self._firmware)
-        self._before = None
+        self._one_moment.restart()
         return self._dialogue
-
-    def _of_one_moment(self, told: F64, rounds: list[Answer[Told]]) -> F64:
-        """Values, shape (n, 5), as they were when the middle one was read: by how they have changed since the round
-        before."""
-        sent_s, received_s = np.array([(a.sent_s, a.received_s) for a in rounds]).T
-        share = np.arange(1, 1 + len(ENDPOINTS)) / len(ENDPOINTS)
-        at_s = sent_s[:, None] + _SPREAD * self._trip.after(sent_s, received_s) * share
-        before_s, before = (at_s[:1], told[:1]) if self._before is None else self._before
-        self._before = at_s[-1:], told[-1:]
-        apart_s = np.maximum(np.diff(at_s, axis=0, prepend=before_s), _SHORTEST_S)
-        change = np.diff(told, axis=0, prepend=before) / apart_s
-        change[~np.isfinite(change)] = 0.0
-        return np.asarray(told + change * (at_s[:, _MIDDLE : _MIDDLE + 1] - at_s))
 
     def _samples(self, answers: list[Answer[Told]]) -> SampleBlock | None:
         strange, self._dialogue.strange = self._dialogue.strange, 0
@@ -247,7 +233,8 @@ class SdoOdrive(PollingDriver[Told]):
         time_s, number, quality = self._placing.place(rounds)
         told = np.array([a.value for a in rounds], np.float64)
         told[~np.isfinite(told)] = np.nan
-        speed, position, integral, ahead, current = self._of_one_moment(told, rounds).T
+        sent_s, received_s = np.array([(a.sent_s, a.received_s) for a in rounds]).T
+        speed, position, integral, ahead, current = self._one_moment.moved(told, sent_s, received_s, _TO_MIDDLE).T
         voltage = integral + ahead
         position[np.abs(position) >= MOST_TURNS] = np.nan
         for value, invalid in (

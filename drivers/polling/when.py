@@ -18,6 +18,8 @@ _SLOWEST_RAD_S = 3.0
 _MOST_CHANGE = 0.5
 #: Samples are at least so far apart, s: a control cycle.
 _MIN_STEP_S = 5e-5
+#: Rounds are at least so far apart, s.
+_SHORTEST_ROUND_S = 1e-4
 
 
 class SampleTimes:
@@ -54,18 +56,34 @@ class SampleTimes:
         return time_s
 
 
-class ShortestTrip:
-    """Of a drive's round trips the shortest one: what the wire and the drive take. Longer ones waited for the host, and
-    tell nothing of when the values were taken.
+class OneMoment:
+    """Takes what a round reads one after another to one moment, by how it has changed since the round before.
 
     Attributes:
-        value_s: infinite before the first.
+        trip_s: the shortest round trip, what the wire and the drive take; infinite before the first. Longer ones waited
+            for the host, and tell nothing of when the values were taken.
     """
 
     def __init__(self) -> None:
-        self.value_s = math.inf
+        self.trip_s = math.inf
+        self._last: tuple[F64, F64] | None = None  # when the last round was asked for, its values
 
-    def after(self, sent_s: F64, received_s: F64) -> float:
-        """Seconds, with these trips too, shapes (n,), n ≥ 1."""
-        self.value_s = min(self.value_s, float(np.min(received_s - sent_s)))
-        return self.value_s
+    def restart(self) -> None:
+        """The next round does not follow on the last one."""
+        self._last = None
+
+    def moved(self, values: F64, sent_s: F64, received_s: F64, by: F64) -> F64:
+        """Values so much later.
+
+        Args:
+            values: shape (n, m), n ≥ 1 rounds of m values; NaN: not known.
+            sent_s, received_s: shape (n,), of the rounds.
+            by: shape (m,), shares of the shortest trip.
+        """
+        self.trip_s = min(self.trip_s, float(np.min(received_s - sent_s)))
+        before_s, before = (sent_s[:1], values[:1]) if self._last is None else self._last
+        self._last = sent_s[-1:], values[-1:]
+        apart_s = np.maximum(np.diff(sent_s, prepend=before_s), _SHORTEST_ROUND_S)
+        change = np.diff(values, axis=0, prepend=before) / apart_s[:, None]
+        change[~np.isfinite(change)] = 0.0
+        return np.asarray(values + change * (self.trip_s * by))
