@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.identification.output_error import OutputErrorFit, Recording, fit_output_error
+from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
 from servo_daemon.samples import make_block
 from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, generate
 
@@ -47,3 +47,18 @@ def test_the_answer_to_the_voltage_is_known_and_the_parameters_are_not(motor: Mo
     assert fit.answer is not None
     std = np.sqrt(np.diag(fit.answer.covariance))
     assert std == pytest.approx([c.std / c.value for c in fit.answer.coefficients])
+
+
+def test_a_torque_whose_unit_is_open_is_there_all_the_same() -> None:
+    """Without a current no torque has a value of its own; its phase has one."""
+    phase = 2.8
+    cogging = {"Tcog": 0.1 * PAPER.K * PAPER.rated_current_A, "n_cog": 11.0, "phi_cog": phase}
+    r = generate(PAPER, Scenario("multisine", seconds=5.0, effects={"cogging_torque": cogging}, seed=3))
+    block = make_block(r.time_s, voltage_V=r.voltage_V, position_rad=r.position_rad)
+    options = FitOptions(nominal={"phi_cog": 0.5}, fixed={"n_cog": 11.0})
+    found = fit_output_error([Recording("capture", block)], ("cogging_torque",), options).parameters
+    assert found["Tcog"].std is None
+    assert found["phi_cog"].std is not None
+    assert found["phi_cog"].value is not None
+    assert found["phi_cog"].std < 0.1
+    assert abs(found["phi_cog"].value - phase) < 4 * found["phi_cog"].std

@@ -9,6 +9,7 @@ is a billion times weaker than the strongest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -27,6 +28,11 @@ _UNKNOWN = 1.0
 #: Components smaller than this have no part in a null direction, nor do those that move a parameter by less than this
 #: share of its own 1 σ: a direction that the data show at 1e-8 of the others (L held at nearly nothing) is not clean.
 _COMPONENT, _OF_ITS_STD = 1e-6, 0.1
+#: Part of a gradient along a direction without a trace beyond which a combination is open (chosen; not tried).
+_LEAK = 1e-4
+#: What a torque, an inertia or a stiffness is compared with where its own unit is open: without a current (the voltage
+#: that overcomes it, N·m Ω/(N·m/A)), without a voltage (its current), without either (its acceleration).
+_RELATIVE_TO: tuple[Mapping[str, float], ...] = ({}, {"R": 1.0, "K": -1.0}, {"K": -1.0}, {"J": -1.0})
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +115,23 @@ def wider(info: Information, std: Mapping[int, float]) -> Information:
     for k, (column, least) in enumerate(std.items()):
         added[column, k] = np.sqrt(max(least**2 - known[column] ** 2, 0.0))
     return replace(info, root=np.hstack([info.root, added]))
+
+
+def log_std(info: Information, name: str) -> float:
+    """1 σ of a positive parameter's logarithm: its own, or as a multiple of the motor's if that is known better.
+
+    Where no channel fixes the unit of torque, a torque's own is open without its being any less there.
+    """
+    return min(_log_std_along(info, {name: 1.0, **others}) for others in _RELATIVE_TO)
+
+
+def _log_std_along(info: Information, weights: Mapping[str, float]) -> float:
+    """1 σ of a sum of logarithms; infinite where nothing is seen along a part of it."""
+    gradient = np.array([weights.get(name, 0.0) for name in info.names])
+    leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
+    if leak > _LEAK * float(np.linalg.norm(gradient)):
+        return math.inf
+    return float(np.linalg.norm(gradient @ info.root))
 
 
 def _components(names: tuple[str, ...], direction: F64) -> dict[str, float]:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_daemon.identification.output_error.precision.information import Information, information
+from servo_daemon.identification.output_error.precision.information import Information, information, log_std
 from servo_daemon.identification.output_error.problem.problem import Problem
 from servo_daemon.identification.output_error.solver.solver import Point, Solution, solve
 from servo_daemon.kalman.gaussian import from_coordinate
@@ -148,7 +148,7 @@ def _lost(problem: Problem, info: Information, std: F64) -> NDArray[np.bool_]:
     for effect in problem.plant.effects:
         own = [p.name for p in known[effect].parameters]
         size, rest = own[:1], own[1:]
-        if any(logs[k] and std[k] > 1.0 for k, n in enumerate(info.names) if n in size):
+        if any(logs[k] and std[k] > 1.0 and log_std(info, n) > 1.0 for k, n in enumerate(info.names) if n in size):
             out |= np.array([n in rest and table[n].unit in _OF_NOTHING for n in info.names], dtype=bool)
     return np.asarray(out)
 
