@@ -46,8 +46,10 @@ def is_its_simpler(name: str, fit: OutputErrorFit) -> bool:
 
 
 def _known(p: Parameter, fit: OutputErrorFit) -> bool:
-    """Itself; where no value can be given because a unit is open, as a multiple."""
+    """Itself, or as a multiple of the motor's where its unit is open or hardly known."""
+    if p.transform == "log" and log_std(fit.after, p.name) < _KNOWN:
+        return True
     found = fit.parameters[p.name]
     if found.status != "estimated" or found.value is None or not found.std:
-        return p.transform == "log" and log_std(fit.after, p.name) < _KNOWN
+        return False
     return found.std < (_KNOWN_PHASE_RAD if found.unit == "rad" else _KNOWN * abs(found.value))
