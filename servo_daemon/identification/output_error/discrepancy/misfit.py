@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,7 @@ from servo_daemon.identification.output_error.noise.noise import WORTH, resoluti
 from servo_daemon.identification.output_error.noise.residual import ResidualTest, innovation_tests
 from servo_daemon.identification.output_error.noise.whitening import moving
 from servo_daemon.identification.output_error.precision.combinations import (
+    VoltageAnswer,
     answer_between,
     determined_combinations,
     wider_answer,
@@ -79,48 +80,101 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         parameters = {n: p if p.status == "fixed" else _lost(p) for n, p in fit.parameters.items()}
         offsets = tuple({n: _lost(p) for n, p in each.items()} for each in fit.offsets)
         return replace(fit, parameters=parameters, offsets=offsets, combinations=(), answer=None, correlation={})
-    problem, square = fit.problem, _square(fit)
+    square = _square(fit)
     likelier = None if square else _likelier(fit)
-    names = problem.parameter_of_column
-    inside, lag = _discrepancy(fit, scale, square, likelier), by_other_lags(fit, again)
+    rivals = _rivals(fit, again, square, likelier)
+    added = _added(fit, rivals, _discrepancy(fit, scale, square, likelier))
+    if not fit.problem.parameter_of_column or not (added.root.size or likelier is not None):
+        return fit
+    return _widened(fit, scale, added, rivals)
+
+
+@dataclass(frozen=True)
+class _Rivals:
+    """What else may have made the recordings; None: they speak against it.
+
+    Attributes:
+        law: the motor with another law.
+        far: motors so far away that the coordinates' moves do not give the answer to the voltage.
+        rows_late: rows by which the voltage is late in one of these; 0: in none.
+        likelier: unknowns with noise that enters the motor.
+        mean_current: each current is the mean since the one before.
+        late_current: how far a late current moves the coordinates, shape (k,), and how late it is, s.
+        unheld_voltage, lag, friction: how far a voltage that is not held, other lags, and friction where the motor
+            turns one way only, move them, shape (k,).
+        slower: the motor with more inductance.
+    """
+
+    law: OutputErrorFit | None
+    far: tuple[OutputErrorFit, ...]
+    rows_late: int
+    likelier: F64 | None
+    mean_current: OutputErrorFit | None
+    late_current: tuple[F64, float] | None
+    unheld_voltage: F64 | None
+    lag: F64 | None
+    slower: OutputErrorFit | None
+    friction: F64 | None
+
+
+def _rivals(fit: OutputErrorFit, again: Refit, square: float, likelier: F64 | None) -> _Rivals:
     law, moved = _others(fit, again, square, likelier)
     far = [] if moved is None else [moved[0]]
     if law is not None and is_cut_off(moved_to(law, fit)):
         far.append(law)
         law = None
     means = by_mean_current(fit, again) if square else None
-    filtered = by_late_current(fit, again) if square and means is None else None
-    unheld = by_unheld_voltage(fit, again) if square else None
-    moves = [moved_to(other, fit) for other in (law, means) if other is not None]
-    moves += [] if filtered is None else [filtered[0]]
-    moves += [] if unheld is None else [unheld]
-    inside = np.column_stack([inside, *moves])
-    seen, slower = inside if lag is None else np.column_stack([inside, lag]), with_more_inductance(fit, again)
-    added = seen if slower is None else np.column_stack([seen, SHARE * moved_to(slower, fit)])
-    added = np.column_stack([added, *(moved_to(other, fit) for other in far)])
+    return _Rivals(
+        law=law,
+        far=tuple(far),
+        rows_late=0 if moved is None else moved[1],
+        likelier=likelier,
+        mean_current=means,
+        late_current=by_late_current(fit, again) if square and means is None else None,
+        unheld_voltage=by_unheld_voltage(fit, again) if square else None,
+        lag=by_other_lags(fit, again),
+        slower=with_more_inductance(fit, again),
+        friction=by_friction_one_way(fit, again),
+    )
+
+
+@dataclass(frozen=True)
+class _Added:
+    """What comes on top of the fit's covariance.
+
+    Attributes:
+        root: of the coordinates' covariance, shape (k, ·).
+        of_answer: what of it makes the answer to the voltage less known, too.
+    """
+
+    root: F64
+    of_answer: F64
+
+
+def _added(fit: OutputErrorFit, rivals: _Rivals, discrepancy: F64) -> _Added:
+    moves = [moved_to(other, fit) for other in (rivals.law, rivals.mean_current) if other is not None]
+    moves += [] if rivals.late_current is None else [rivals.late_current[0]]
+    moves += [] if rivals.unheld_voltage is None else [rivals.unheld_voltage]
+    inside = np.column_stack([discrepancy, *moves])
+    seen = inside if rivals.lag is None else np.column_stack([inside, rivals.lag])
+    root = seen if rivals.slower is None else np.column_stack([seen, SHARE * moved_to(rivals.slower, fit)])
+    root = np.column_stack([root, *(moved_to(other, fit) for other in rivals.far)])
     # (Not in the answer to the voltage: to that step it is what was seen, whatever rubs.)
-    friction = by_friction_one_way(fit, again)
-    added = added if friction is None else np.column_stack([added, friction])
-    if not names or not (added.size or likelier is not None):
-        return fit
-    parameters = dict(fit.parameters)
+    root = root if rivals.friction is None else np.column_stack([root, rivals.friction])
+    # The lag is all in the answer of a motor that an encoder shows; the sensor of a speed has one of its own.
+    return _Added(root, seen if "velocity_rad_s" in fit.problem.channels else inside)
+
+
+def _widened(fit: OutputErrorFit, scale: F64, added: _Added, rivals: _Rivals) -> OutputErrorFit:
+    problem, names, parameters = fit.problem, fit.problem.parameter_of_column, dict(fit.parameters)
     for k, name in enumerate(names[: problem.n_shared]):
-        std = float(np.linalg.norm(added[k]))
+        std = float(np.linalg.norm(added.root[k]))
         parameters[name] = _wider(parameters[name], std, logarithm=bool(problem.logarithmic[k]))
     lost = np.array([parameters[n].status == "undetermined" for n in names], dtype=bool)
-    root = np.hstack([fit.after.root, added])
+    root = np.hstack([fit.after.root, added.root])
     after = replace(fit.after, root=root, undetermined=fit.after.undetermined | lost)
     at_end, bounded = problem.coordinates(fit.solution.point.unknowns, 0), at_bounds(problem, fit.solution)
-    # The lag is all in the answer of a motor that an encoder shows; the sensor of a speed has one of its own.
-    more = seen if "velocity_rad_s" in problem.channels else inside
-    answer = wider_answer(fit.answer, problem.plant, at_end, (names, scale), more) if more.size else fit.answer
-    if likelier is not None:
-        there = natural_values(problem.plant.parameters, problem.coordinates(likelier, 0))
-        answer = answer_between(answer, values_of(fit), there)
-    if slower is not None:
-        answer = answer_between(answer, values_of(fit), values_of(slower), SHARE)
-    for other in far:  # (of which the coordinates' moves, cut off or large, do not give it)
-        answer = answer_between(answer, values_of(fit), values_of(other))
+    answer = _wider_answer(fit, scale, added, rivals)
     return replace(
         fit,
         parameters=parameters,
@@ -128,10 +182,26 @@ def with_misfit(fit: OutputErrorFit, scale: F64, again: Refit) -> OutputErrorFit
         correlation=correlation_of(after, problem.n_shared),
         answer=answer,
         combinations=determined_combinations(problem.plant, at_end, answer, after, scale, bounded),
-        current_late_s=None if filtered is None else filtered[1],
-        current_is_mean=means is not None,
-        voltage_rows_late=0 if moved is None else moved[1],
+        current_late_s=None if rivals.late_current is None else rivals.late_current[1],
+        current_is_mean=rivals.mean_current is not None,
+        voltage_rows_late=rivals.rows_late,
     )
+
+
+def _wider_answer(fit: OutputErrorFit, scale: F64, added: _Added, rivals: _Rivals) -> VoltageAnswer | None:
+    problem, answer = fit.problem, fit.answer
+    if added.of_answer.size:
+        at_end = problem.coordinates(fit.solution.point.unknowns, 0)
+        answer = wider_answer(answer, problem.plant, at_end, (problem.parameter_of_column, scale), added.of_answer)
+    own = values_of(fit)
+    if rivals.likelier is not None:
+        there = natural_values(problem.plant.parameters, problem.coordinates(rivals.likelier, 0))
+        answer = answer_between(answer, own, there)
+    if rivals.slower is not None:
+        answer = answer_between(answer, own, values_of(rivals.slower), SHARE)
+    for other in rivals.far:  # (of which the coordinates' moves do not give it)
+        answer = answer_between(answer, own, values_of(other))
+    return answer
 
 
 def _others(
