@@ -29,6 +29,8 @@ _LEFT_TO_L = 0.2
 #: Samples amid commands of zero, as a share of all, from which on an open bridge there is asked about (chosen; not
 #: tried).
 _LEAST_ZERO = 0.02
+#: Each of them takes nearly the same from the voltage: by the way it turns, by the way the current flows.
+_BY_DIRECTION = ("coulomb_friction", "brush_voltage_drop")
 #: Friction that pushes and brakes as another R and J do.
 _BY_LOAD = "load_dependent_friction"
 #: What a train of gears loses of the torque, and a single stage: a valley leads from one to the other, slowly
@@ -75,9 +77,10 @@ def proposals(
     worth: float = WORTH_A_FIT,
     given: Collection[str] = (),
 ) -> tuple[Proposal, ...]:
-    """The models of one round, the most promising first. Where no current is measured dry friction is one of them, and
-    friction that grows with the load: the linear motor biases R and K around the first until it looks like a spring in
-    the shaft, and with another R and J it pushes and brakes as the second does, of which screening then sees nothing.
+    """The models of one round, the most promising first. Where no current is measured dry friction, a drop at the
+    brushes and friction that grows with the load are among them: the linear motor biases R and K around the first two
+    until they look like a spring in the shaft, and with another R and J it pushes and brakes as the third does, of
+    which screening then sees nothing.
 
     Args:
         worth: share of what the best explains that a cause must explain, beside something; −∞: all are fitted.
@@ -94,7 +97,7 @@ def proposals(
         if name not in known or effects is None:
             continue
         certain = s.unseen or any(p.name in given for p in known[name].parameters)
-        certain |= worth == -math.inf or (hidden and s.effect == "coulomb_friction")
+        certain |= worth == -math.inf or (hidden and s.effect in _BY_DIRECTION)
         if s.heldout_share <= 0 and not certain:
             continue
         simpler = any(s.effect == small and p.name in large for small, large in NESTED.items() for p in out)

@@ -83,6 +83,13 @@ def no_worse(trial: Trial, best: Trial) -> bool:
     return difference.gain < _TIE and difference.low < 0.0 and difference.delta_bic > OVERWHELMING_BIC
 
 
+def likelier(trial: Trial, other: Trial) -> bool:
+    """Whether the fitted part speaks for one of two models of as many parameters that the runs that decide cannot tell
+    apart: those drift with the drive's noise, which may hide what a fit sees."""
+    difference = advantage(other, trial)
+    return trial.free == other.free and difference.high > 0.0 and difference.delta_bic < LEAST_BIC
+
+
 def ties_with(scored: Scored, best: Scored) -> bool:
     """Whether two models tie by their errors alone."""
     gain, low, _ = bootstrapped(scored, best)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -17,6 +18,7 @@ from servo_daemon.diagnosis.search.evidence import (
     NESTED_GAIN,
     convinces,
     half_convinces,
+    likelier,
     no_worse,
     overwhelming,
     speaks_against_screening,
@@ -104,65 +106,101 @@ def fitted(data: Data, current: Trial, proposed: Sequence[Proposal], effort: Eff
     one has gained go on to their end; beside a motor of which nothing is known yet, those too that are still worse than
     the model that they contain. What there is no time for is missing; what an earlier search has fitted to the end goes
     on from there."""
-    journal = effort.journal
+    fits = _Fits(data, current, effort)
+    with ThreadPoolExecutor(effort.workers) as pool:
+        begun = [(p, t) for p, t in zip(proposed, pool.map(fits.begin, proposed), strict=True) if t is not None]
+        most = max((fits.gained(t) for _, t in begun), default=0.0)
+        loads = max((fits.gained(t) for p, t in begun if "J_l" in p.start), default=0.0)
+        found = [c for c in pool.map(partial(fits.end, most=most, loads=loads), begun) if c is not None]
+    return tuple(sorted(found, key=lambda c: -c.against.gain))
 
-    def key(p: Proposal) -> str:
-        return model_key(current.effects, p.effects, data.split.segment_s)
 
-    def begin(p: Proposal) -> Trial | None:
-        known = journal.values(key(p))
+@dataclass(frozen=True)
+class _Fits:
+    """Fits of one round's candidates.
+
+    Attributes:
+        data: all are fitted to these.
+        current: the model that they extend.
+        effort: what they may cost.
+    """
+
+    data: Data
+    current: Trial
+    effort: Effort
+
+    @cached_property
+    def _biased(self) -> bool:
+        """Without a current R and K may have any values, and a motor that lacks much ends far from the real one."""
+        current = self.current
+        return has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
+
+    @cached_property
+    def _smooth(self) -> bool:
+        return is_smooth(self.current)
+
+    def gained(self, trial: Trial) -> float:
+        return self.current.solution.point.value - trial.solution.point.value
+
+    def begin(self, p: Proposal) -> Trial | None:
+        """A few iterations; None where there is no time for it."""
+        known = self.effort.journal.values(self._key(p))
         if known is not None:
-            return fit_trial(data, p.effects, known, like=current, max_iterations=FIRST_ITERATIONS)
-        if not effort.allows(p.name):
+            return self._begun(p, known)
+        if not self.effort.allows(p.name):
             return None
         best = None
         for start in (p.start, p.other):
-            trial = fit_trial(data, p.effects, start, like=current, max_iterations=FIRST_ITERATIONS)
-            best = _better(best, trial)
+            best = _better(best, self._begun(p, start))
             # Worse than the model that it contains: it began in the wrong place.
-            if best is not None and gained(best) > 0.0 and not p.far:
+            if best is not None and self.gained(best) > 0.0 and not p.far:
                 break
-        for start in _by_sizes(data, p) if biased else ():
-            best = _better(best, fit_trial(data, p.effects, start, max_iterations=FIRST_ITERATIONS))
+        for start in _by_sizes(self.data, p) if self._biased else ():
+            best = _better(best, fit_trial(self.data, p.effects, start, max_iterations=FIRST_ITERATIONS))
         return best
 
-    def end(pair: tuple[Proposal, Trial]) -> Candidate | None:
-        p, trial = pair
-        if journal.values(key(p)) is None and effort.allows(p.name):
-            trial = finished(p, trial)
-            journal.keep(key(p), trial.values)
+    def end(self, begun: tuple[Proposal, Trial], most: float, loads: float) -> Candidate | None:
+        """A candidate; None where its free runs leave the range of numbers.
+
+        Args:
+            begun: as it has begun.
+            most: that any of the round has gained so far.
+            loads: the same of those that bring an inertia.
+        """
+        (p, trial), journal = begun, self.effort.journal
+        if journal.values(self._key(p)) is None and self.effort.allows(p.name):
+            trial = self._finished(p, trial, most, loads)
+            journal.keep(self._key(p), trial.values)
         if not np.isfinite(trial.choice.squares).all():
             return None
-        return Candidate(p.name, trial, advantage(current, trial), start=p.start)
+        return Candidate(p.name, trial, advantage(self.current, trial), start=p.start)
 
-    def finished(p: Proposal, trial: Trial) -> Trial:
+    def _finished(self, p: Proposal, trial: Trial, most: float, loads: float) -> Trial:
         little = _HOPELESS * float(trial.fitted.counts.sum())
-        over = _over_the_gap(data, current, p, trial) if loads >= little else None
+        over = _over_the_gap(self.data, self.current, p, trial) if loads >= little else None
         if over is not None:
-            trial = over
-        elif (biased and gained(trial) < 0.0) or gained(trial) >= max(_KEPT * most, little):
-            trial = fit_trial(data, p.effects, trial.values, like=trial) or trial
-            if not trial.solution.converged and gained(trial) >= _KEPT * most:
-                trial = fit_trial(data, p.effects, trial.values, like=trial, careful=True) or trial
-            if trial.independent < COLOURED and gained(trial) >= _KEPT * most and not (smooth and is_smooth(trial)):
-                trial = _better(trial, fit_trial(data, p.effects, trial.values, rival=trial)) or trial
-            equivalent = equivalent_lags(trial.values)
-            if equivalent is not None:
-                trial = _better(trial, fit_trial(data, p.effects, equivalent, rival=trial)) or trial
+            return over
+        if (self._biased and self.gained(trial) < 0.0) or self.gained(trial) >= max(_KEPT * most, little):
+            return self._refined(p, trial, most)
         return trial
 
-    def gained(trial: Trial) -> float:
-        return current.solution.point.value - trial.solution.point.value
+    def _refined(self, p: Proposal, trial: Trial, most: float) -> Trial:
+        trial = fit_trial(self.data, p.effects, trial.values, like=trial) or trial
+        if not trial.solution.converged and self.gained(trial) >= _KEPT * most:
+            trial = fit_trial(self.data, p.effects, trial.values, like=trial, careful=True) or trial
+        coloured = trial.independent < COLOURED and not (self._smooth and is_smooth(trial))
+        if coloured and self.gained(trial) >= _KEPT * most:
+            trial = _better(trial, fit_trial(self.data, p.effects, trial.values, rival=trial)) or trial
+        equivalent = equivalent_lags(trial.values)
+        if equivalent is not None:
+            trial = _better(trial, fit_trial(self.data, p.effects, equivalent, rival=trial)) or trial
+        return trial
 
-    # Without a current R and K may have any values, and a motor that lacks much ends far from the real one.
-    biased = has_no_current(current) and current.independent < COLOURED and current.choice.nrmse > _MUCH
-    smooth = is_smooth(current)
-    with ThreadPoolExecutor(effort.workers) as pool:
-        begun = [(p, t) for p, t in zip(proposed, pool.map(begin, proposed), strict=True) if t is not None]
-        most = max((gained(t) for _, t in begun), default=0.0)
-        loads = max((gained(t) for p, t in begun if "J_l" in p.start), default=0.0)
-        found = [c for c in pool.map(end, begun) if c is not None]
-    return tuple(sorted(found, key=lambda c: -c.against.gain))
+    def _begun(self, p: Proposal, start: Mapping[str, float]) -> Trial | None:
+        return fit_trial(self.data, p.effects, start, like=self.current, max_iterations=FIRST_ITERATIONS)
+
+    def _key(self, p: Proposal) -> str:
+        return model_key(self.current.effects, p.effects, self.data.split.segment_s)
 
 
 def _by_sizes(data: Data, p: Proposal) -> Iterator[Mapping[str, float]]:
@@ -223,7 +261,8 @@ def _better(one: Trial | None, other: Trial | None) -> Trial | None:
 
 
 def best_of(candidates: Sequence[Candidate]) -> Candidate | None:
-    """The candidate that gains most; a smaller one that it contains, unless it earns its parameters."""
+    """The candidate that gains most, or one of as many parameters that is likelier and as good; a smaller one that it
+    contains, unless it earns its parameters."""
     convincing = [c for c in candidates if convinces(c.against)]
     if not convincing:
         return None
@@ -231,6 +270,8 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate | None:
     alike = [c for c in convincing if c is best or no_worse(c.trial, best.trial)]
     # The smallest; of several, what every machine has; then the better one, which is the first.
     best = min(alike, key=lambda c: (c.trial.free, c.name != "coulomb_friction"))
+    rivals = [c for c in convincing if c is best or likelier(c.trial, best.trial)]
+    best = min(rivals, key=lambda c: c.trial.solution.point.value)
     for smaller in convincing:
         if best.name in NESTED.get(smaller.name, ()):
             more = advantage(smaller.trial, best.trial)
