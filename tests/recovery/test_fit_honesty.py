@@ -280,7 +280,7 @@ def test_a_direction_without_a_trace_stays_open_beside_a_friction_that_hides() -
     both = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 0.1, 0.0, 1.0]])
     exact = both / np.linalg.norm(both, axis=1)[:, None]
     turned = np.array([[0.0, 0.2, 0.0, 1.0]]) / np.hypot(0.2, 1.0)
-    here = Information(("R", "K", "J", "B"), np.zeros((4, 0)), np.ones(4, dtype=bool), (), exact)
+    here = Information(("R", "K", "J", "B"), np.zeros((4, 0)), np.ones(4, dtype=bool), (), exact, np.ones(4))
     joined = with_nulls_of(here, replace(here, exact=turned))
     assert len(joined.exact) == 2
     for direction in (exact[0], turned[0]):

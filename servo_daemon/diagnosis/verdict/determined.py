@@ -47,9 +47,9 @@ def is_its_simpler(name: str, fit: OutputErrorFit) -> bool:
 
 def _known(p: Parameter, fit: OutputErrorFit) -> bool:
     """Itself, or as a multiple of the motor's where its unit is open or hardly known."""
-    if p.transform == "log" and log_std(fit.after, p.name) < _KNOWN:
+    found, value = fit.parameters[p.name], None if p.transform == "log" else fit.values.get(p.name)
+    if (p.transform == "log" or (p.unit == "N·m" and value)) and log_std(fit.after, p.name, value) < _KNOWN:
         return True
-    found = fit.parameters[p.name]
     if found.status != "estimated" or found.value is None or not found.std:
         return False
     return found.std < (_KNOWN_PHASE_RAD if found.unit == "rad" else _KNOWN * abs(found.value))

@@ -59,6 +59,7 @@ class Information:
         undetermined: shape (k,), whether a null direction moves it or its own 1 σ exceeds a factor of e.
         null: the null directions.
         exact: shape (·, k), the exact ones as unit vectors in scaled coordinates.
+        scale: shape (k,), of these.
     """
 
     names: tuple[str, ...]
@@ -66,6 +67,7 @@ class Information:
     undetermined: NDArray[np.bool_]
     null: tuple[NullDirection, ...]
     exact: F64
+    scale: F64
 
     @property
     def covariance(self) -> F64:
@@ -85,7 +87,7 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
     names = problem.parameter_of_column
     if not names:  # every parameter is given
         none = np.zeros((0, 0))
-        return Information(names, none, np.zeros(0, dtype=bool), (), none)
+        return Information(names, none, np.zeros(0, dtype=bool), (), none, scale)
     seen = reduced(problem, point)[:, : len(names)] * scale
     if not np.isfinite(seen).all():
         raise NumericalError("what the parameters do to the simulation has left the range of numbers")
@@ -101,7 +103,7 @@ def information(problem: Problem, point: Point, scale: F64) -> Information:
         for v, e, d in zip(directions, exact, spread, strict=True)
         if e or d > _UNKNOWN
     ]
-    return Information(names, scale[:, None] * root, lost | (std > _UNKNOWN), tuple(null), directions[exact])
+    return Information(names, scale[:, None] * root, lost | (std > _UNKNOWN), tuple(null), directions[exact], scale)
 
 
 def wider(info: Information, std: Mapping[int, float]) -> Information:
@@ -117,19 +119,24 @@ def wider(info: Information, std: Mapping[int, float]) -> Information:
     return replace(info, root=np.hstack([info.root, added]))
 
 
-def log_std(info: Information, name: str) -> float:
-    """1 σ of a positive parameter's logarithm: its own, or as a multiple of the motor's if that is known better.
+def log_std(info: Information, name: str, value: float | None = None) -> float:
+    """1 σ of a parameter's logarithm: its own, or as a multiple of the motor's if that is known better.
 
     Where no channel fixes the unit of torque, a torque's own is open without its being any less there.
+
+    Args:
+        value: of one whose coordinate is no logarithm, natural unit, not 0.
     """
-    return min(_log_std_along(info, {name: 1.0, **others}) for others in _RELATIVE_TO)
+    weight = 1.0 if value is None else 1.0 / value
+    return min(_std_along(info, {name: weight, **others}) for others in _RELATIVE_TO)
 
 
-def _log_std_along(info: Information, weights: Mapping[str, float]) -> float:
-    """1 σ of a sum of logarithms; infinite where nothing is seen along a part of it."""
+def _std_along(info: Information, weights: Mapping[str, float]) -> float:
+    """1 σ of a sum of coordinates; infinite where nothing is seen along a part of it."""
     gradient = np.array([weights.get(name, 0.0) for name in info.names])
-    leak = float(np.max(np.abs(info.exact @ gradient), initial=0.0))
-    if leak > _LEAK * float(np.linalg.norm(gradient)):
+    scaled = gradient * info.scale
+    leak = float(np.max(np.abs(info.exact @ scaled), initial=0.0))
+    if leak > _LEAK * float(np.linalg.norm(scaled)):
         return math.inf
     return float(np.linalg.norm(gradient @ info.root))
 
