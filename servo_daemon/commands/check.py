@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,42 +69,46 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if all(r["samples"] for r in reports) else 1
 
 
+@dataclass(frozen=True, slots=True)
+class _Heard:
+    """What a driver brought and said while it was listened to.
+
+    Attributes:
+        first, last: blocks; None: none came.
+        settled: the last block of those that may have been held back.
+        remark, unread: the driver's own words.
+        problem: why there is nothing, or no more.
+    """
+
+    first: SampleBlock | None
+    settled: SampleBlock | None
+    last: SampleBlock | None
+    remark: str | None
+    unread: str | None
+    problem: str | None
+
+    @property
+    def span_s(self) -> float:
+        """Device time from the first sample to the last."""
+        return 0.0 if self.first is None or self.last is None else float(self.last.time_s[-1] - self.first.time_s[0])
+
+
 def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]:
     """What one drive shows within `listen_s`.
 
     Raises:
         DriverConfigError: its options cannot work with this device.
     """
-    problem: str | None = None
-    first = last = settled = None
-    said: tuple[str | None, str | None] = None, None
-    silence = ""
-    try:
-        with driver:
-            for block in heard(driver, listen_s):
-                first, last = first or block, block
-                if block.host_time_s - first.host_time_s < _SETTLED_S:
-                    settled = block
-            said, silence = (driver.remark, driver.unread), driver.silence
-    except DriverConfigError:
-        raise
-    except EndOfStreamError:
-        pass
-    except DriverError as error:
-        problem = str(error)
+    came = _listen(driver, listen_s)
     counters = driver.counters
-    if problem is None and last is None:
-        problem = f"open, but no samples in {listen_s:g} s ({counters.framing_errors} framing errors)"
-        problem += f"; {silence}" if silence else ""
-    channels = last.channels if last is not None else driver.info.channels
+    channels = came.last.channels if came.last is not None else driver.info.channels
     meaning = drive.signals.meaning(driver.meaning)
-    plan = _plan(channels, drive, meaning) if last is not None else None
-    span = 0.0 if first is None or last is None else float(last.time_s[-1] - first.time_s[0])
-    rate_hz = None if span <= 0 else (counters.samples - 1) / span
+    plan = _plan(channels, drive, meaning) if came.last is not None else None
+    rate_hz = None if came.span_s <= 0 else (counters.samples - 1) / came.span_s
     return {
         "name": drive.name,
         "driver": drive.driver,
-        "problem": problem,
+        "problem": came.problem,
         "identity": driver.info.identity,
         "channels": list(channels),
         "counts_per_rev": driver.info.counts_per_rev,
@@ -114,11 +118,38 @@ def _look(drive: DriveConfig, driver: Driver, listen_s: float) -> dict[str, Any]
         "framing_errors": counters.framing_errors,
         "assumes": _assumptions(driver, drive, channels)
         + ([] if meaning == SignalMeaning() else [told(meaning, channels)]),
-        "remarks": _remarks(driver, settled, last, *said) + _of_capture(driver, drive),
+        "remarks": _remarks(driver, came) + _of_capture(driver, drive),
         "sample_rate_hz": rate_hz,
         "estimated": [] if plan is None else list(plan.free),
         "not_estimated": {} if plan is None else dict(plan.reasons),
     }
+
+
+def _listen(driver: Driver, seconds: float) -> _Heard:
+    """Open a driver and take what comes within so many seconds.
+
+    Raises:
+        DriverConfigError: its options cannot work with this device.
+    """
+    first = settled = last = remark = unread = problem = None
+    silence = ""
+    try:
+        with driver:
+            for block in heard(driver, seconds):
+                first, last = first or block, block
+                if block.host_time_s - first.host_time_s < _SETTLED_S:
+                    settled = block
+            remark, unread, silence = driver.remark, driver.unread, driver.silence
+    except DriverConfigError:
+        raise
+    except EndOfStreamError:
+        pass
+    except DriverError as error:
+        problem = str(error)
+    if problem is None and last is None:
+        problem = f"open, but no samples in {seconds:g} s ({driver.counters.framing_errors} framing errors)"
+        problem += f"; {silence}" if silence else ""
+    return _Heard(first, settled, last, remark, unread, problem)
 
 
 def _plan(channels: tuple[str, ...], drive: DriveConfig, meaning: SignalMeaning) -> SignalPlan:
@@ -146,11 +177,10 @@ def _assumptions(driver: Driver, drive: DriveConfig, channels: tuple[str, ...]) 
     return [f"{counts:,.10g} counts a turn: {turn}{nominal}", *turned]
 
 
-def _remarks(
-    driver: Driver, first: SampleBlock | None, last: SampleBlock | None, remark: str | None, unread: str | None
-) -> list[str]:
+def _remarks(driver: Driver, came: _Heard) -> list[str]:
     """What is odd though samples come."""
-    found = [] if remark is None else [remark]
+    found = [] if came.remark is None else [came.remark]
+    first, last = came.settled, came.last
     if first is not None and last is not None and driver.kind not in _NO_CLOCK:
         clock_s, device_s = last.host_time_s - first.host_time_s, float(last.time_s[-1] - first.time_s[-1])
         if clock_s >= _CLOCK_S and not 1 / _CLOCK_FACTOR < device_s / clock_s < _CLOCK_FACTOR:
@@ -158,8 +188,8 @@ def _remarks(
     counters = driver.counters
     if driver.learnt is not None:
         found.append(driver.learnt)
-    if unread is not None and counters.framing_errors > _UNREAD * max(counters.samples, 1):
-        found.append(f"{counters.framing_errors} lines could not be read: {unread}")
+    if came.unread is not None and counters.framing_errors > _UNREAD * max(counters.samples, 1):
+        found.append(f"{counters.framing_errors} lines could not be read: {came.unread}")
     return found
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from servo_daemon.captures import CaptureWriter
+    from servo_daemon.config import DriveConfig
 
 HELP = "record a capture from a live driver"
 EXAMPLE = "  servo-daemon record --config servo-daemon.toml --drive axis1 --seconds 60 --out bench.csv.gz"
@@ -35,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from drivers.registry import make_driver
-    from servo_daemon import __version__
     from servo_daemon.captures import CaptureWriter
 
     if not 0 < arguments.seconds < float("inf"):
@@ -45,21 +45,13 @@ def run(arguments: argparse.Namespace) -> int:
     common.may_overwrite(arguments.force, arguments.out)
     kind_of(arguments.out, arguments.format)
     driver = make_driver(drive.driver, drive.name, drive.options)
-    metadata = {"generator": f"servo-daemon {__version__} record", "drive": drive.name, "driver": drive.driver}
-    metadata |= {k: f"{v:g}" for k, v in drive.load.model_dump().items() if v is not None}
     problem: DriverError | None = None
     with common.stop_requested() as stop, driver:
         first = _next_block(driver, stop)
         if first is None:
             raise DriverError(f"drive {drive.name}: stopped before the first sample: nothing is recorded")
-        metadata["identity"] = driver.info.identity
-        meaning = drive.signals.meaning(driver.meaning)
-        if meaning != SignalMeaning():
-            metadata |= as_texts(meaning)
-        if driver.info.counts_per_rev:
-            metadata.setdefault("counts_per_rev", f"{driver.info.counts_per_rev:g}")
         with (
-            CaptureWriter(arguments.out, metadata=metadata, kind=arguments.format) as writer,
+            CaptureWriter(arguments.out, metadata=_metadata(drive, driver), kind=arguments.format) as writer,
             common.progress(arguments.seconds, "s", "record") as bar,
         ):
             try:
@@ -78,6 +70,22 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         common.note(summary)
     return 0
+
+
+def _metadata(drive: DriveConfig, driver: Driver) -> dict[str, str]:
+    """Where the capture comes from and what its signals mean; of a driver that has brought samples, since only then
+    it knows its device."""
+    from servo_daemon import __version__
+
+    metadata = {"generator": f"servo-daemon {__version__} record", "drive": drive.name, "driver": drive.driver}
+    metadata |= {k: f"{v:g}" for k, v in drive.load.model_dump().items() if v is not None}
+    metadata["identity"] = driver.info.identity
+    meaning = drive.signals.meaning(driver.meaning)
+    if meaning != SignalMeaning():
+        metadata |= as_texts(meaning)
+    if driver.info.counts_per_rev:
+        metadata.setdefault("counts_per_rev", f"{driver.info.counts_per_rev:g}")
+    return metadata
 
 
 #: Device time that has not passed when so much of the clock has, s, is slower than any oscillator: in another unit.

@@ -21,31 +21,14 @@ def write(model: ExportedModel) -> Export:
     model = rigid(model, "modelica")
     model.require(model.needed, "modelica")
     b, name = balances(model), identifier(model.name)
-    expressed = [n for n in model.effects if expressible(n) and n not in _NO_TABLE]
-    notes = [*common_notes(model), *not_expressed(model, expressed)]
-    if b.sensed:
-        notes.append("errors of the sensors are not in it: `i`, `omega` and `theta` are the motor's")
-    if model.linear:
-        notes.append("a linear axis: 1 rad stands for 1 m, 1 N.m for 1 N")
+    notes = _notes(model, b)
     voltage = model.drive == "voltage"
-    motor = "p.v - n.v" if voltage else "input_u"
     ports = (
         "  Modelica.Electrical.Analog.Interfaces.PositivePin p;\n  Modelica.Electrical.Analog.Interfaces.NegativePin n;"
         if voltage
         else f'  Modelica.Blocks.Interfaces.RealInput input_u "{model.drive} of the motor, SI units";'
     )
     states = "\n".join(f"  Real {state}(start = 0, fixed = true);" for state in b.states)
-    equations = [f"  u = {motor};", "  t = time;", "  omega = rotor.w;", "  theta = rotor.phi;"]
-    if voltage:
-        equations += ["  p.i = i;", "  n.i = -i;", f"  der(i) = {b.text(b.current_rate, MODELICA)};"]
-    equations += [f"  der({state}) = {b.text(rate, MODELICA)};" for state, rate in b.states.items()]
-    equations += [
-        f"  drive.tau = J * ({b.text(b.speed_rate, MODELICA)});",
-        "  connect(drive.flange, rotor.flange_a);",
-        "  connect(rotor.flange_b, friction.flange_a);",
-        "  connect(friction.flange_b, gear.flange_a);",
-        "  connect(gear.flange_b, flange);",
-    ]
     current = "  Modelica.Units.SI.Current i(start = 0, fixed = true);\n" if voltage else ""
     text = f"""{line_comments(header(model, notes), "//")}
 model {name}
@@ -62,8 +45,36 @@ model {name}
   Modelica.Units.SI.Angle theta;
 {states}
 equation
-""" + "\n".join([*equations, f"end {name};", ""])
+""" + "\n".join([*_equations(b, voltage=voltage), f"end {name};", ""])
     return Export(text.replace("\n\n", "\n").encode(), tuple(notes))
+
+
+def _notes(model: ExportedModel, b: Balances) -> list[str]:
+    """What the file leaves out, and what its units stand for."""
+    expressed = [n for n in model.effects if expressible(n) and n not in _NO_TABLE]
+    notes = [*common_notes(model), *not_expressed(model, expressed)]
+    if b.sensed:
+        notes.append("errors of the sensors are not in it: `i`, `omega` and `theta` are the motor's")
+    if model.linear:
+        notes.append("a linear axis: 1 rad stands for 1 m, 1 N.m for 1 N")
+    return notes
+
+
+def _equations(b: Balances, *, voltage: bool) -> list[str]:
+    """The two balances, the effects' states, and how the parts of the drive train are connected."""
+    motor = "p.v - n.v" if voltage else "input_u"
+    equations = [f"  u = {motor};", "  t = time;", "  omega = rotor.w;", "  theta = rotor.phi;"]
+    if voltage:
+        equations += ["  p.i = i;", "  n.i = -i;", f"  der(i) = {b.text(b.current_rate, MODELICA)};"]
+    equations += [f"  der({state}) = {b.text(rate, MODELICA)};" for state, rate in b.states.items()]
+    return [
+        *equations,
+        f"  drive.tau = J * ({b.text(b.speed_rate, MODELICA)});",
+        "  connect(drive.flange, rotor.flange_a);",
+        "  connect(rotor.flange_b, friction.flange_a);",
+        "  connect(friction.flange_b, gear.flange_a);",
+        "  connect(gear.flange_b, flange);",
+    ]
 
 
 def _parameters(model: ExportedModel, b: Balances) -> str:

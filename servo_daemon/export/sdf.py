@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from servo_daemon.export.balances import rigid
-from servo_daemon.export.joint import joint_notes, joint_of
+from servo_daemon.export.joint import Joint, joint_notes, joint_of
 from servo_daemon.export.model import Export, ExportedModel, Target
 from servo_daemon.export.words import header, identifier, number, xml_comment
 
@@ -17,25 +17,15 @@ def write(model: ExportedModel) -> Export:
     dynamics = [f"          <{key}>{number(v)}</{key}>" for key, v in values.items() if v is not None]
     limits = {"effort": joint.effort, "velocity": joint.velocity}
     limit = [f"          <{key}>{number(v)}</{key}>" for key, v in limits.items() if v is not None]
-    inertial = []
-    if joint.inertia is not None:
-        i = number(joint.inertia)
-        inertial = [
-            "      <inertial>",
-            f"        <mass>{i if model.linear else 1}</mass>",
-            f"        <inertia><ixx>{i}</ixx><iyy>{i}</iyy><izz>{i}</izz>",
-            "          <ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia>",
-            "      </inertial>",
-        ]
-        if not model.linear:
-            notes.append("only the inertia about the joint's axis is known: the link's mass of 1 kg is a placeholder")
+    if joint.inertia is not None and not model.linear:
+        notes.append("only the inertia about the joint's axis is known: the link's mass of 1 kg is a placeholder")
     lines = [
         '<?xml version="1.0"?>',
         xml_comment([*header(model, notes), "damping, friction and limits are those at the output"]),
         '<sdf version="1.9">',
         f'  <model name="{name}">',
         f'    <link name="{name}_output">',
-        *inertial,
+        *_inertial(joint, linear=model.linear),
         "    </link>",
         f'    <joint name="{name}" type="{"prismatic" if model.linear else "revolute"}">',
         "      <parent>world</parent>",
@@ -51,6 +41,21 @@ def write(model: ExportedModel) -> Export:
         "",
     ]
     return Export("\n".join(lines).encode(), tuple(notes))
+
+
+def _inertial(joint: Joint, *, linear: bool) -> list[str]:
+    """The moving link's mass and inertia. Of a link that turns only the inertia is known, of one that slides both are
+    the same number."""
+    if joint.inertia is None:
+        return []
+    i = number(joint.inertia)
+    return [
+        "      <inertial>",
+        f"        <mass>{i if linear else 1}</mass>",
+        f"        <inertia><ixx>{i}</ixx><iyy>{i}</iyy><izz>{i}</izz>",
+        "          <ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia>",
+        "      </inertial>",
+    ]
 
 
 TARGET = Target("sdf", ".sdf", write)

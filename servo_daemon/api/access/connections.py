@@ -65,81 +65,90 @@ class ConnectionTable:
             del self.open[address]
 
 
-def bounded_protocol(table: ConnectionTable) -> type[asyncio.Protocol]:
-    """uvicorn's HTTP/1.1 protocol with the limits above; for `uvicorn.Config(http=…)`."""
-    base: Any = AutoHTTPProtocol
+#: One of uvicorn's two: it is chosen when uvicorn is imported.
+_HTTP_PROTOCOL: Any = AutoHTTPProtocol
 
-    class Bounded(base):  # type: ignore[misc]  # chosen when uvicorn is imported
-        """Its `cycle` is the last request with a complete head; None before the first."""
 
-        _address: str | None = None  # None: not counted
-        _bytes = 0  # beyond the last complete request
-        _timer: asyncio.TimerHandle | None = None  # until the next one is
-        _stall: asyncio.TimerHandle | None = None
+class _Bounded(_HTTP_PROTOCOL):  # type: ignore[misc]  # no type that mypy knows
+    """uvicorn's HTTP/1.1 protocol with the limits above. Its `cycle` is the last request with a complete head; None
+    before the first."""
 
-        def connection_made(self, transport: asyncio.Transport) -> None:
-            super().connection_made(transport)
-            address = str((transport.get_extra_info("peername") or ("local",))[0])
-            if table.take(address):
-                self._address = address
+    _table: ConnectionTable  # the server's
+    _address: str | None = None  # None: not counted
+    _bytes = 0  # beyond the last complete request
+    _timer: asyncio.TimerHandle | None = None  # until the next one is
+    _stall: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:
+        super().connection_made(transport)
+        address = str((transport.get_extra_info("peername") or ("local",))[0])
+        if self._table.take(address):
+            self._address = address
+            self._timer = self.loop.call_later(HEAD_S, self._late)
+        else:
+            self._refuse(503, "Retry-After: 5\r\n")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        for timer in (self._timer, self._stall):
+            if timer is not None:
+                timer.cancel()
+        if self._address is not None:
+            self._table.leave(self._address)
+            self._address = None
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        if self._address is None or self.transport.is_closing():
+            return
+        before, body = self.cycle, self.cycle is not None and self.cycle.more_body
+        super().data_received(data)
+        if self.transport.is_closing():
+            return
+        if self.cycle is not before:
+            self._bytes = 0
+            if self._timer is not None:
+                self._timer.cancel()
+                self._timer = None
+        elif not body:
+            self._bytes += len(data)
+            if self._bytes > _HEAD_BYTES:
+                self._refuse(431)
+            elif self._timer is None and self._is_idle():
                 self._timer = self.loop.call_later(HEAD_S, self._late)
-            else:
-                self._refuse(503, "Retry-After: 5\r\n")
 
-        def connection_lost(self, exc: Exception | None) -> None:
-            for timer in (self._timer, self._stall):
-                if timer is not None:
-                    timer.cancel()
-            if self._address is not None:
-                table.leave(self._address)
-                self._address = None
-            super().connection_lost(exc)
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        if self._stall is None:
+            self._stall = self.loop.call_later(STALLED_S, self.transport.abort)
 
-        def data_received(self, data: bytes) -> None:
-            if self._address is None or self.transport.is_closing():
-                return
-            before, body = self.cycle, self.cycle is not None and self.cycle.more_body
-            super().data_received(data)
-            if self.transport.is_closing():
-                return
-            if self.cycle is not before:
-                self._bytes = 0
-                if self._timer is not None:
-                    self._timer.cancel()
-                    self._timer = None
-            elif not body:
-                self._bytes += len(data)
-                if self._bytes > _HEAD_BYTES:
-                    self._refuse(431)
-                elif self._timer is None and self._is_idle():
-                    self._timer = self.loop.call_later(HEAD_S, self._late)
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        if self._stall is not None:
+            self._stall.cancel()
+            self._stall = None
 
-        def pause_writing(self) -> None:
-            super().pause_writing()
-            if self._stall is None:
-                self._stall = self.loop.call_later(STALLED_S, self.transport.abort)
+    def _is_idle(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
 
-        def resume_writing(self) -> None:
-            super().resume_writing()
-            if self._stall is not None:
-                self._stall.cancel()
-                self._stall = None
+    def _late(self) -> None:
+        self._timer = None
+        if self._is_idle() and not self.transport.is_closing():
+            self._refuse(408)
 
-        def _is_idle(self) -> bool:
-            return self.cycle is None or self.cycle.response_complete
+    def _refuse(self, status: int, header: str = "") -> None:
+        """Say so and close; in the middle of an answer only the latter is possible."""
+        if not self._is_idle():
+            self.transport.abort()
+            return
+        head = f"HTTP/1.1 {status} {_PHRASES[status]}\r\n{header}Connection: close\r\nContent-Length: 0\r\n\r\n"
+        self.transport.write(head.encode())
+        self.transport.close()
 
-        def _late(self) -> None:
-            self._timer = None
-            if self._is_idle() and not self.transport.is_closing():
-                self._refuse(408)
 
-        def _refuse(self, status: int, header: str = "") -> None:
-            """Say so and close; in the middle of an answer only the latter is possible."""
-            if not self._is_idle():
-                self.transport.abort()
-                return
-            head = f"HTTP/1.1 {status} {_PHRASES[status]}\r\n{header}Connection: close\r\nContent-Length: 0\r\n\r\n"
-            self.transport.write(head.encode())
-            self.transport.close()
+def bounded_protocol(table: ConnectionTable) -> type[asyncio.Protocol]:
+    """The protocol of a server with these connections; for `uvicorn.Config(http=…)`."""
+
+    class Bounded(_Bounded):
+        _table = table
 
     return Bounded

@@ -155,15 +155,9 @@ def _foreign(path: Path, lines: _Lines) -> Preamble:
     )
     if first is None:
         return _no_table(path, lines)
-    before = lines.content[:first]
-    header = _header(before, dialect, width)
-    if dialect.named:
-        header = rows[first][0] - 1, value_names(lines.content[first][1])
-    if header is None:
-        header = _commented(lines.comments, dialect, width, rows[first][0])
-    line, names = header or (rows[first][0] - 1, [])
+    line, names = _names(lines, first, dialect, width)
     units = next((cells for n, cells in rows[:first] if n > line and len(cells) == width and _are_units(cells)), [])
-    passed = [number for number, _ in before if number != line and not (units and number > line)]
+    passed = [number for number, _ in rows[:first] if number != line and not (units and number > line)]
     told = dialect.told()
     if units:
         told.append("a row of units")
@@ -192,6 +186,20 @@ def _is_row(cells: Sequence[str], values: Sequence[bool]) -> bool:
         return False
     kept = [c for c, value in zip(cells, values, strict=True) if value]
     return 0 < len(kept) <= 2 * sum(map(is_value, kept))
+
+
+def _names(lines: _Lines, first: int, dialect: Dialect, width: int) -> tuple[int, list[str]]:
+    """The line of the header and the names of the columns, which may also stand before every value. Without any: the
+    last line before the rows.
+
+    Args:
+        first: of the contents, the first row.
+    """
+    number, row = lines.content[first]
+    if dialect.named:
+        return number - 1, value_names(row)
+    header = _header(lines.content[:first], dialect, width) or _commented(lines.comments, dialect, width, number)
+    return header or (number - 1, [])
 
 
 def _header(before: Sequence[tuple[int, str]], dialect: Dialect, width: int) -> tuple[int, list[str]] | None:

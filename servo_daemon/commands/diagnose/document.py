@@ -24,7 +24,7 @@ from servo_daemon.commands.fit.notes import result_notes
 from servo_daemon.commands.shared.units import shown_column, shown_unit
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.dependence import Dependence
-from servo_daemon.diagnosis.verdict.result import Diagnosis, HeldOut, NamedEffect, OwnModel, Spread
+from servo_daemon.diagnosis.verdict.result import CandidateScore, Diagnosis, HeldOut, NamedEffect, OwnModel, Spread
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.winding import joined_parameters
 from servo_daemon.plant.effects import effects_by_name, parameter_table
@@ -52,16 +52,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "noise_floor": d.noise_floor,
         "gain": _gain_row(d),
         "validation": [validation_row(v) for v in d.validation],
-        "candidates": [
-            {
-                "name": c.name,
-                "beside": list(c.beside),
-                "heldout_nrmse": c.nrmse,
-                "delta_bic": c.delta_bic,
-                "taken": c.taken,
-            }
-            for c in d.candidates
-        ],
+        "candidates": [_candidate_row(c) for c in d.candidates],
         "remaining": _remaining_row(d, linear=linear),
         "captures": [str(c.path) for c in d.captures],
         "drive": inputs.drive.name,
@@ -71,15 +62,7 @@ def diagnosis_document(d: Diagnosis, inputs: Inputs, evidence: Evidence) -> dict
         "missing": _missing_rows(d, evidence, linear=linear),
         "differences": [_difference_row(s, linear=linear) for s in d.differences],
         "own_models": [_own_row(m, linear=linear) for m in d.own_models],
-        "free_runs": [
-            {
-                "capture": str(c.path),
-                "baseline": score_row(before, linear=linear),
-                "extended": None if after is None else score_row(after, linear=linear),
-                "adapted": None,
-            }
-            for c, (before, after) in zip(d.captures, evidence.free_runs, strict=True)
-        ],
+        "free_runs": _free_run_rows(d, evidence, linear=linear),
         "null_directions": [null_row(n) for n in final.null_directions],
         "combinations": [combination_row(c, linear=linear) for c in final.combinations],
         "toml": toml_lines(final, d.effects) if d.effects else None,
@@ -148,6 +131,16 @@ def _gain_row(d: Diagnosis) -> dict[str, Any] | None:
     return {"error_removed": d.error_removed, "ci95": ci95, "measured_on": d.measured_on}
 
 
+def _candidate_row(c: CandidateScore) -> dict[str, Any]:
+    return {
+        "name": c.name,
+        "beside": list(c.beside),
+        "heldout_nrmse": c.nrmse,
+        "delta_bic": c.delta_bic,
+        "taken": c.taken,
+    }
+
+
 def _remaining_row(d: Diagnosis, *, linear: bool) -> dict[str, Any]:
     words = [_COARSE.get(x.on, x.on) for x in d.depends_on]
     return {
@@ -205,6 +198,18 @@ def _series_name(series: str, *, linear: bool) -> str:
 
 def _series_unit(series: str, *, linear: bool) -> str:
     return shown_unit({"torque": "N·m", "voltage": "V"}[series], linear=linear)
+
+
+def _free_run_rows(d: Diagnosis, evidence: Evidence, *, linear: bool) -> list[dict[str, Any]]:
+    return [
+        {
+            "capture": str(c.path),
+            "baseline": score_row(before, linear=linear),
+            "extended": None if after is None else score_row(after, linear=linear),
+            "adapted": None,
+        }
+        for c, (before, after) in zip(d.captures, evidence.free_runs, strict=True)
+    ]
 
 
 def _own_row(m: OwnModel, *, linear: bool) -> dict[str, Any]:

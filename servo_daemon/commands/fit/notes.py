@@ -56,6 +56,16 @@ def result_notes(
         meaning: of the captures' signals; None: as they are by default.
         capture: one of them, for the line that mends it.
     """
+    meaning = meaning or SignalMeaning()
+    return [
+        *_of_channels(fit, capture),
+        *_of_values(fit, nominal, meaning.gear_ratio),
+        *_of_input(fit, nominal, meaning),
+    ]
+
+
+def _of_channels(fit: OutputErrorFit, capture: Capture | None) -> list[str]:
+    """Which channels the model does not explain or would need, and which are means, or late."""
     notes = [_unexplained(name, capture) for name in unexplained(fit)]
     notes += [
         f"no current is measured: all of the lag that was found is put down to {name}, and "
@@ -72,6 +82,12 @@ def result_notes(
             "that waits so long looks the same): what is said of J, L and the time constants is as open. "
             f"{mend(capture, 'voltage_V', {'rows_late': fit.voltage_rows_late})}"
         )
+    return notes
+
+
+def _of_values(fit: OutputErrorFit, nominal: Mapping[str, float], gear_ratio: float) -> list[str]:
+    """Which values a bound, a nominal value far away or the kind of motion casts doubt on."""
+    notes = []
     for name, p in fit.parameters.items():
         given = nominal.get(name)
         if p.bound is not None:
@@ -91,10 +107,15 @@ def result_notes(
             "the motion never turns back: dry friction would look like B there, and B and J are known no better than "
             "that leaves them: record a motion to and fro"
         )
-    meaning = meaning or SignalMeaning()
     estimated = {n: p.value for n, p in fit.parameters.items() if p.status == "estimated"}
-    if (hint := angle_hint(estimated, nominal, meaning.gear_ratio)) is not None:
+    if (hint := angle_hint(estimated, nominal, gear_ratio)) is not None:
         notes.append(hint)
+    return notes
+
+
+def _of_input(fit: OutputErrorFit, nominal: Mapping[str, float], meaning: SignalMeaning) -> list[str]:
+    """What it costs that an input is known at its samples only."""
+    notes = []
     if fit.problem.plant.drive != "voltage" and meaning.current != "mean":
         what = "current" if fit.problem.plant.drive == "current" else "torque"
         notes.append(

@@ -13,8 +13,11 @@ from servo_daemon.published.snapshot import ParameterEstimate
 
 if TYPE_CHECKING:
     from servo_daemon.captures import Capture
+    from servo_daemon.commands.replay.estimates_csv import EstimatesWriter
     from servo_daemon.config import DriveConfig
     from servo_daemon.learning.model.model import LearnedModel
+    from servo_daemon.pipeline.pipeline import Pipeline
+    from servo_daemon.published.snapshot import Estimate
 
 HELP = "run the daemon's own pipeline over a capture, as fast as it goes"
 EXAMPLE = """  servo-daemon replay capture.csv.gz --out estimates.csv
@@ -59,13 +62,22 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.learned is not None:
         pipeline.use_learned(_learned(arguments.learned, drive, capture))
         estimators = (*estimators, "grnn")
-    last = None
+    with EstimatesWriter(arguments.out, names, estimators=estimators) as writer:
+        rows, last = _replayed(capture, arguments.block, pipeline, writer)
+    common.answer(arguments, _document(arguments.out, capture, rows, last), _print_table)
+    return 0
+
+
+def _replayed(capture: Capture, samples: int, pipeline: Pipeline, writer: EstimatesWriter) -> tuple[int, Estimate]:
+    """Write what the pipeline makes of the capture. Returns the number of rows, and the last.
+
+    Args:
+        samples: that the pipeline gets at once.
+    """
+    last: Estimate | None = None
     rows = 0
-    with (
-        EstimatesWriter(arguments.out, names, estimators=estimators) as writer,
-        common.progress(capture.duration_s, "s", "replay") as bar,
-    ):
-        for block in capture.blocks(arguments.block):
+    with common.progress(capture.duration_s, "s", "replay") as bar:
+        for block in capture.blocks(samples):
             estimates = pipeline.process(block)
             for last in estimates:
                 writer.write(last)
@@ -76,9 +88,14 @@ def run(arguments: argparse.Namespace) -> int:
             writer.write(final)
             last, rows = final, rows + 1
     assert last is not None  # a capture has at least two samples
-    document: dict[str, Any] = {
+    return rows, last
+
+
+def _document(out: Path, capture: Capture, rows: int, last: Estimate) -> dict[str, Any]:
+    """Where the estimates are, and the last of them."""
+    return {
         "capture": str(capture.path),
-        "out": str(arguments.out),
+        "out": str(out),
         "equivalents": {
             choice: {name: {"value": value, "std": std} for name, (value, std) in row.items()}
             for choice, row in last.equivalents.items()
@@ -90,8 +107,6 @@ def run(arguments: argparse.Namespace) -> int:
         "parameters": _rows(last.parameters, linear=capture.axis == "linear"),
         "health": dict(last.health),
     }
-    common.answer(arguments, document, _print_table)
-    return 0
 
 
 def _learned(path: Path, drive: DriveConfig, capture: Capture) -> LearnedModel:

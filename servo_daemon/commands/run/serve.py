@@ -17,6 +17,12 @@ from servo_daemon.commands.shared import common
 from servo_daemon.commands.shared.exposure import ServedCertificate, certificate_files, known_tokens
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    import uvicorn
+    from fastapi import FastAPI
+
+    from servo_daemon.api.access.connections import ConnectionTable
     from servo_daemon.daemon.daemon import Daemon
 
 log = logging.getLogger(__name__)
@@ -68,38 +74,19 @@ async def _serve_api(
 ) -> None:
     """Answer requests until told to stop."""
     # Imported while the drives are already being read: half of the time to the first estimate.
-    import uvicorn
-
-    from servo_daemon.api.access.connections import MOST_CONNECTIONS, ConnectionTable, bounded_protocol
+    from servo_daemon.api.access.connections import MOST_CONNECTIONS, ConnectionTable
     from servo_daemon.api.access.permission import Access
     from servo_daemon.api.app import create_app
     from servo_daemon.api.computing import ProcessComputer
     from servo_daemon.daemon.descriptors import room_for_connections
 
-    class Server(uvicorn.Server):
-        @contextmanager
-        def capture_signals(self) -> Iterator[None]:  # the daemon's own handlers stay in charge
-            yield
-
     table = ConnectionTable(room_for_connections(len(daemon.drives), MOST_CONNECTIONS))
-    settings: dict[str, Any] = {
-        "http": bounded_protocol(table),
-        "ws": "none",
-        "proxy_headers": False,
-        "server_header": False,
-        "log_level": "warning",
-        "access_log": False,
-        "timeout_graceful_shutdown": _DRAIN_S,
-    }
     api, computer = daemon.config.api, ProcessComputer()
     pair = certificate_files(api)
-    if pair is not None:
-        settings |= {"ssl_certfile": str(pair[0]), "ssl_keyfile": str(pair[1])}
     access = Access(known_tokens(api), api.metrics == "open", api.allowed_hosts)
-    config = uvicorn.Config(create_app(daemon, access, computer), **settings)
-    config.load()
-    server = Server(config)
-    certificate = None if pair is None or config.ssl is None else ServedCertificate(config.ssl, pair)
+    server = _server(create_app(daemon, access, computer), table, pair)
+    tls = server.config.ssl
+    certificate = None if pair is None or tls is None else ServedCertificate(tls, pair)
     host, port = listener.getsockname()[:2]
 
     async def exit_when_told() -> None:
@@ -119,3 +106,34 @@ async def _serve_api(
     await server.serve(sockets=[listener])
     for watcher in watchers:
         watcher.cancel()
+
+
+def _server(app: FastAPI, table: ConnectionTable, pair: tuple[Path, Path] | None) -> uvicorn.Server:
+    """uvicorn with the connections bounded.
+
+    Args:
+        pair: certificate and private key; None: no TLS.
+    """
+    import uvicorn
+
+    from servo_daemon.api.access.connections import bounded_protocol
+
+    class Server(uvicorn.Server):
+        @contextmanager
+        def capture_signals(self) -> Iterator[None]:  # the daemon's own handlers stay in charge
+            yield
+
+    settings: dict[str, Any] = {
+        "http": bounded_protocol(table),
+        "ws": "none",
+        "proxy_headers": False,
+        "server_header": False,
+        "log_level": "warning",
+        "access_log": False,
+        "timeout_graceful_shutdown": _DRAIN_S,
+    }
+    if pair is not None:
+        settings |= {"ssl_certfile": str(pair[0]), "ssl_keyfile": str(pair[1])}
+    config = uvicorn.Config(app, **settings)
+    config.load()
+    return Server(config)

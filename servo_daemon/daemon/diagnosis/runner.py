@@ -190,27 +190,8 @@ class DiagnosisRunner:
             shutil.rmtree(scratch, ignore_errors=True)
 
     def _call(self, job: Job, scratch: Path, listener: Listener) -> None:
-        arguments = (
-            str(scratch / CAPTURE), "--out", str(scratch / "out"), "--config", str(scratch / DRIVE),
-            "--drive", job.drive, "--json", "--progress-json", "--budget", f"{self._budget_s:g}",
-            "--journal", str(scratch / JOURNAL),
-        )  # fmt: skip
-        guard = (sys.executable, "-I", "-S", low_priority.__file__, str(os.getpid()), str(self._nice))
-        environment = {k: v for k, v in os.environ.items() if k not in _NOT_FOR_CHILDREN}
-        with self._lock:
-            if self._stopping:
-                raise DiagnosisError("the daemon is stopping")
-            self._timed_out = False
-            self._process = process = subprocess.Popen(
-                (*guard, *self._command, *arguments),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                env=environment,
-                encoding="utf-8",
-                errors="replace",
-                process_group=0,
-            )
+        """Raises: DiagnosisError: the program fails, or takes too long, or the daemon is stopping."""
+        process = self._start_program(job, scratch)
         timer = threading.Timer(self._limit_s, self._time_out)
         timer.daemon = True
         timer.start()
@@ -231,6 +212,31 @@ class DiagnosisRunner:
         if code != 0:
             why = said[-1] if said else "without a word"
             raise DiagnosisError(f"the diagnosis program ended with {_exit_text(code)}: {why}"[:_LONGEST_REASON])
+
+    def _start_program(self, job: Job, scratch: Path) -> subprocess.Popen[str]:
+        """Raises: DiagnosisError: the daemon is stopping."""
+        arguments = (
+            str(scratch / CAPTURE), "--out", str(scratch / "out"), "--config", str(scratch / DRIVE),
+            "--drive", job.drive, "--json", "--progress-json", "--budget", f"{self._budget_s:g}",
+            "--journal", str(scratch / JOURNAL),
+        )  # fmt: skip
+        guard = (sys.executable, "-I", "-S", low_priority.__file__, str(os.getpid()), str(self._nice))
+        environment = {k: v for k, v in os.environ.items() if k not in _NOT_FOR_CHILDREN}
+        with self._lock:
+            if self._stopping:
+                raise DiagnosisError("the daemon is stopping")
+            self._timed_out = False
+            self._process = subprocess.Popen(
+                (*guard, *self._command, *arguments),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                env=environment,
+                encoding="utf-8",
+                errors="replace",
+                process_group=0,
+            )
+            return self._process
 
     def _time_out(self) -> None:
         with self._lock:

@@ -22,13 +22,7 @@ _CLOCK_MHZ = 168.0
 
 def write(model: ExportedModel) -> Export:
     """Raises BadInputError: an effect that the estimator lacks, no voltage as input, or a value is not known."""
-    if model.drive != "voltage":
-        raise BadInputError(f"--to c needs a model with the voltage as input; this one has the {model.drive}")
-    if strange := [name for name in model.effects if name not in KNOWN]:
-        raise BadInputError(
-            f"--to c: the estimator in C knows the linear motor, {', '.join(KNOWN)}; of a motor with "
-            f"{', '.join(strange)} its estimates would be wrong and sure of themselves: let the daemon estimate it"
-        )
+    _refuse_strange(model)
     names = ("R", "K", "J", "B", *(KNOWN[name] for name in model.effects))
     values = model.require((*names, "L"), "c")
     notes = common_notes(model)
@@ -37,37 +31,58 @@ def write(model: ExportedModel) -> Export:
         notes.append("the sample rate is not given (--rate-hz): made for 1 kHz")
         period = ASSUMED_PERIOD_S
     longest = _LONGEST * period
-    code = build_step(names, values["L"], doublings_for(values, longest))
-    body = c_lines(
-        code.function, ("x", "xi", "away", "p", "=u", "=h"), ("xn", "xin", "fx", "fq", "g")
-    )  # fmt: skip
-    comment = "\n".join(["/*", *(f" * {line}" for line in header(model, notes)), " */"])
-    table = parameter_table()
-    std = [_std(model, name) for name in names]
     filled = {
-        "HEADER": comment,
-        "NAMES": ", ".join(f"SERVO_{name.upper()}" for name in names),
-        "QUOTED": ", ".join(f'"{name}"' for name in names),
-        "N": str(len(names)),
-        "L": literal(values["L"]),
+        "HEADER": "\n".join(["/*", *(f" * {line}" for line in header(model, notes)), " */"]),
         "LONGEST": literal(longest),
         "GEAR": "" if model.gear == 1.0 else f", times the gear of {model.gear:g}",
-        "VALUES": _array([values[name] for name in names]),
-        "STDS": _array(std),
-        "LOWEST": _array([table[name].lower for name in names]),
-        "HIGHEST": _array([table[name].upper for name in names]),
-        "SIGNED": ", ".join(str(int(table[name].transform != "log")) for name in names),
-        "OPERATIONS": str(code.operations),
-        "STEP": textwrap.indent("\n".join(body), "    "),
-        "HELPERS": "".join(text for name, text in _HELPERS.items() if any(f"{name}(" in line for line in body)),
-        "AWAY": _AWAY if "Tc" in names else "",
-        "LINEAR": str(int(len(names) == len(CORE["voltage"]) - 1)),
-        "MEMORY": f"{_size(len(names))} bytes (sizeof(servo_estimator)), with 4 parameters {_MEASURED_STACK} of stack.",
         "TIME": _TIME,
+        **_parameters(model, names, values),
+        **_step(names, values, longest),
     }
     notes.append("define SERVO_RAD_PER_COUNT and give the noise of your converters to the start: no export knows them")
     source, head = (_filled(name, filled) for name in ("servo_estimator.c", "servo_estimator.h"))
     return Export(source, tuple(notes), {"servo_estimator.h": head})
+
+
+def _refuse_strange(model: ExportedModel) -> None:
+    """Raises BadInputError: an effect that the estimator lacks, or no voltage as input."""
+    if model.drive != "voltage":
+        raise BadInputError(f"--to c needs a model with the voltage as input; this one has the {model.drive}")
+    if strange := [name for name in model.effects if name not in KNOWN]:
+        raise BadInputError(
+            f"--to c: the estimator in C knows the linear motor, {', '.join(KNOWN)}; of a motor with "
+            f"{', '.join(strange)} its estimates would be wrong and sure of themselves: let the daemon estimate it"
+        )
+
+
+def _parameters(model: ExportedModel, names: tuple[str, ...], values: dict[str, float]) -> dict[str, str]:
+    """What the templates say of the parameters that are estimated, and of L, which is not."""
+    table = parameter_table()
+    return {
+        "NAMES": ", ".join(f"SERVO_{name.upper()}" for name in names),
+        "QUOTED": ", ".join(f'"{name}"' for name in names),
+        "N": str(len(names)),
+        "L": literal(values["L"]),
+        "VALUES": _array([values[name] for name in names]),
+        "STDS": _array([_std(model, name) for name in names]),
+        "LOWEST": _array([table[name].lower for name in names]),
+        "HIGHEST": _array([table[name].upper for name in names]),
+        "SIGNED": ", ".join(str(int(table[name].transform != "log")) for name in names),
+        "AWAY": _AWAY if "Tc" in names else "",
+        "LINEAR": str(int(len(names) == len(CORE["voltage"]) - 1)),
+        "MEMORY": f"{_size(len(names))} bytes (sizeof(servo_estimator)), with 4 parameters {_MEASURED_STACK} of stack.",
+    }
+
+
+def _step(names: tuple[str, ...], values: dict[str, float], longest: float) -> dict[str, str]:
+    """What the templates hold of the generated step, for samples that are at most `longest` apart, s."""
+    code = build_step(names, values["L"], doublings_for(values, longest))
+    body = c_lines(code.function, ("x", "xi", "away", "p", "=u", "=h"), ("xn", "xin", "fx", "fq", "g"))
+    return {
+        "OPERATIONS": str(code.operations),
+        "STEP": textwrap.indent("\n".join(body), "    "),
+        "HELPERS": "".join(text for name, text in _HELPERS.items() if any(f"{name}(" in line for line in body)),
+    }
 
 
 #: Of the step's lines, where it has them: a function that is not used is a warning.

@@ -110,8 +110,8 @@ def _variable(name: str, reference: int, attributes: str, real: str, what: str) 
     return f"{head} description={quoteattr(what)}>\n      <Real {real}/>\n    </ScalarVariable>"
 
 
-def _description(plant: PlantModel, model: ExportedModel, values: dict[str, float], guid: str, head: list[str]) -> str:
-    name = identifier(model.name)
+def _variables(plant: PlantModel, model: ExportedModel, values: dict[str, float]) -> list[str]:
+    """Input, outputs, states and parameters; numbered as the wrapper numbers them."""
     given, unit = _INPUTS[model.drive]
     output, state = 'causality="output" variability="continuous"', 'causality="local" variability="continuous"'
     variables = [
@@ -129,6 +129,12 @@ def _description(plant: PlantModel, model: ExportedModel, values: dict[str, floa
         kind = 'causality="parameter" variability="tunable"'
         reference = 4 + len(plant.states) + k
         variables.append(_variable(p.name, reference, kind, f'start="{values[p.name]!r}"', what))
+    return variables
+
+
+def _description(plant: PlantModel, model: ExportedModel, values: dict[str, float], guid: str, head: list[str]) -> str:
+    name = identifier(model.name)
+    variables = "\n".join(_variables(plant, model, values))
     unknowns = "\n".join(f'      <Unknown index="{k}"/>' for k in (2, 3, 4))
     text = quoteattr("\n".join(head))
     return f"""<?xml version="1.0" encoding="UTF-8"?>
@@ -141,7 +147,7 @@ def _description(plant: PlantModel, model: ExportedModel, values: dict[str, floa
     </SourceFiles>
   </CoSimulation>
   <ModelVariables>
-{chr(10).join(variables)}
+{variables}
   </ModelVariables>
   <ModelStructure>
     <Outputs>
