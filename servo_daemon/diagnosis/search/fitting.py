@@ -270,8 +270,9 @@ def best_of(candidates: Sequence[Candidate]) -> Candidate | None:
     alike = [c for c in convincing if c is best or no_worse(c.trial, best.trial)]
     # The smallest; of several, what every machine has; then the better one, which is the first.
     best = min(alike, key=lambda c: (c.trial.free, c.name != "coulomb_friction"))
-    rivals = [c for c in convincing if c is best or likelier(c.trial, best.trial)]
-    best = min(rivals, key=lambda c: c.trial.solution.point.value)
+    for rival in convincing:
+        if rival is not best and likelier(rival.trial, best.trial):
+            best = rival
     for smaller in convincing:
         if best.name in NESTED.get(smaller.name, ()):
             more = advantage(smaller.trial, best.trial)

@@ -30,9 +30,10 @@ from servo_daemon.regression.motor_rls import MotorRls
 from servo_daemon.regression.rls import SPANS_S
 from servo_daemon.samples import SampleBlock
 
-#: Mechanical and electrical time constants that are tried, s: from small coreless motors to geared axes and to the
-#: windings of large servos; the second electrical one alone is near enough where a guess begins a candidate's fit.
-_MECHANICAL_S, _ELECTRICAL_S, _USUAL_S = (0.005, 0.03, 0.2), (0.0003, 0.003, 0.03), 0.003
+#: Mechanical and electrical time constants that are tried, s: from small coreless motors to geared axes.
+_MECHANICAL_S, _ELECTRICAL_S = (0.005, 0.03, 0.2), (0.0003, 0.003)
+#: Electrical time constants of small motors and of large servos, s.
+FAST_WINDING_S, SLOW_WINDING_S = 0.003, 0.03
 #: Viscous friction as a share of the back-EMF's braking K²/R; an effect's torque as a share of the motor's.
 _FRICTION_SHARE, _EFFECT_SHARE = 0.2, 0.05
 #: Sources of starts of which only the best are searched from.
@@ -65,10 +66,14 @@ def starting_points(
 
 
 def by_sizes(
-    recordings: Sequence[Recording], problem: Problem, nominal: Mapping[str, float]
+    recordings: Sequence[Recording],
+    problem: Problem,
+    nominal: Mapping[str, float],
+    electrical_s: float = FAST_WINDING_S,
 ) -> Iterator[Mapping[str, float]]:
-    """Guesses from the signals' sizes alone, natural values, one for each mechanical time constant."""
-    yield from _from_sizes(_liveliest(_turning(recordings, problem)[0]), problem.plant, nominal, (_USUAL_S,))
+    """Guesses from the signals' sizes alone, natural values, one for each mechanical time constant that is no shorter
+    than the electrical one: with both exchanged the answer to the voltage is the same."""
+    yield from _from_sizes(_liveliest(_turning(recordings, problem)[0]), problem.plant, nominal, (electrical_s,))
 
 
 def _turning(recordings: Sequence[Recording], problem: Problem) -> tuple[list[SampleBlock], bool]:
@@ -135,8 +140,10 @@ def _from_sizes(
         R = 0.5 * voltage / max(current_size(block), 1e-9) if block.current_A is not None else 1.0
         if block.current_A is None and "Tg" in nominal:  # a known weight says how much torque a volt makes
             R = K * voltage / (2.0 * nominal["Tg"])
+        braking = K * K / R
         for mechanical, electrical in product(_MECHANICAL_S, electrical_s):
-            braking = K * K / R
+            if electrical > mechanical:
+                continue
             J = mechanical * braking * (1 + _FRICTION_SHARE)
             core.append({"R": R, "L": R * electrical, "K": K, "J": J, "B": _FRICTION_SHARE * braking})
     else:
