@@ -5,13 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servo_daemon.diagnosis.trial.data import Data
-from servo_daemon.diagnosis.trial.split import segment_length_s
-from servo_daemon.diagnosis.trial.trial import first_trial, fit_trial
 from servo_daemon.identification.output_error import FitOptions, OutputErrorFit, Recording, fit_output_error
-from servo_daemon.parameters import MOTOR_NAMES
 from servo_daemon.samples import make_block
-from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, PAPER, RE40, Motor, Scenario, generate
+from tests.recovery.generator import GEAR_MOTOR, PAPER, RE40, Motor, Scenario, generate
 
 
 def fitted(motor: Motor, seed: int) -> OutputErrorFit:
@@ -66,17 +62,3 @@ def test_a_torque_whose_unit_is_open_is_there_all_the_same() -> None:
     assert found["phi_cog"].value is not None
     assert found["phi_cog"].std < 0.1
     assert abs(found["phi_cog"].value - phase) < 4 * found["phi_cog"].std
-
-
-def test_a_large_servos_baseline_is_at_its_best_although_a_strong_cogging_is_hidden() -> None:
-    """Its winding's 16 ms are far from a small motor's: from there a search ends in another minimum (−77,374 for
-    −78,878), beside which no effect helps."""
-    motor, cogging = LARGE_SERVO, {"Tcog": 2.88, "n_cog": 16.0, "phi_cog": 0.22300096683125314}
-    r = generate(motor, Scenario("pick_and_place", 20.0, effects={"cogging_torque": cogging}, seed=1249051161081))
-    block = make_block(r.time_s, voltage_V=r.voltage_V, position_rad=r.position_rad)
-    recordings = (Recording("capture", block),)
-    data = Data.of(recordings, {}, (), segment_length_s(recordings))
-    truth = {name: float(getattr(motor, name)) for name in MOTOR_NAMES}
-    from_truth = fit_trial(data, (), truth, careful=True)
-    assert from_truth is not None
-    assert first_trial(data, (), {}).solution.point.value < from_truth.solution.point.value + 2.0

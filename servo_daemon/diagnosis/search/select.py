@@ -40,7 +40,7 @@ from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect, white_without
 from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
 from servo_daemon.diagnosis.trial.split import shorter_s
-from servo_daemon.diagnosis.trial.trial import BETTER, Trial, fit_trial
+from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.short_runs import has_found_states
 
@@ -52,6 +52,8 @@ _PROMISING = 0.25
 _UNSTABLE = ("cogging_torque", "gravity_load")
 #: … and so much of what it promised (chosen; not tried).
 _MUCH = 0.7
+#: V by which a model fitted again must be better to count as another (chosen; not tried).
+_BETTER_CHANCE = 2.0
 #: Told how far it is, 0 .. 1, and what is being done.
 Progress = Callable[[float, str], None]
 
@@ -249,7 +251,7 @@ def _against_the_best_chance(search: _Search, candidates: tuple[Candidate, ...])
         return search, candidates, None
     current = search.current
     again = fit_trial(search.data, current.effects, _own_values(current, best.trial), like=best.trial, careful=True)
-    if again is None or again.solution.point.value > current.solution.point.value - BETTER:
+    if again is None or again.solution.point.value > current.solution.point.value - _BETTER_CHANCE:
         return search, candidates, best
     if search.base is current:
         search.base = again

@@ -19,7 +19,7 @@ from servo_daemon.identification.output_error.problem.linearisation import witho
 from servo_daemon.identification.output_error.problem.problem import Problem, Segment
 from servo_daemon.identification.output_error.problem.setup import carrying
 from servo_daemon.identification.output_error.solver.solver import Point, Solution, solve
-from servo_daemon.identification.output_error.starts import SLOW_WINDING_S, by_sizes, starting_points
+from servo_daemon.identification.output_error.starts import starting_points
 from servo_daemon.identification.short_runs.initial_states import has_found_states, with_found_states
 from servo_daemon.kalman.gaussian import natural_values, to_coordinate
 from servo_daemon.parameters import Parameter
@@ -31,8 +31,6 @@ from servo_daemon.samples import F64
 _START_ITERATIONS, _MOST_ITERATIONS = 3, 25
 #: Iterations that every candidate gets, and every fit that must beat another of the same model (chosen; not tried).
 FIRST_ITERATIONS = 5
-#: V by which a fit of the same model must be better to count as another (chosen; not tried).
-BETTER = 2.0
 #: Samples of all free runs together: of longer captures each run is only begun, so that a search takes no longer; the
 #: fit that is published sees all of them. And the least of one run.
 MOST_SAMPLES, _LEAST_SAMPLES = 24_000, 40
@@ -210,21 +208,7 @@ def first_trial(data: Data, effects: tuple[str, ...], nominal: Mapping[str, floa
         raise NumericalError("the motor cannot be simulated over these data from any start: values out of range?")
     best = sorted(begun, key=lambda t: t.solution.point.value)[:2]
     ends = [t for b in best if (t := fit_trial(data, effects, b.values, like=b, careful=True))]
-    found = min([*best, *ends], key=lambda t: t.solution.point.value)
-    slow = _with_slow_winding(data, effects, problem, {**choices, **nominal, **data.fixed})
-    return slow if slow is not None and slow.solution.point.value < found.solution.point.value - BETTER else found
-
-
-def _with_slow_winding(
-    data: Data, effects: tuple[str, ...], problem: Problem, nominal: Mapping[str, float]
-) -> Trial | None:
-    """From starts with the winding of a large servo, where no current shows the winding: with a fast one, where much is
-    missing, a search ends in another minimum."""
-    if problem.plant.drive != "voltage" or "current_A" in problem.channels:
-        return None
-    starts = by_sizes(data.recordings, problem, nominal, SLOW_WINDING_S)
-    ends = [t for values in starts if (t := fit_trial(data, effects, values, careful=True))]
-    return min(ends, key=lambda t: t.solution.point.value, default=None)
+    return min([*best, *ends], key=lambda t: t.solution.point.value)
 
 
 def _counts_and_choices(effects: Sequence[str]) -> list[Parameter]:

@@ -129,7 +129,9 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
         rows_late: int = 0,
         mean_current: bool = False,
     ) -> OutputErrorFit | None:
-        table = {p.name: p for p in fit.problem.plant.parameters}
+        known = effects_by_name()
+        parameters = (*fit.problem.plant.parameters, *(p for name in effects for p in known[name].parameters))
+        table = {p.name: p for p in parameters}
         within = {n: float(np.clip(values[n], table[n].lower, table[n].upper)) for n in held}
         fixed = {**within, **options.fixed}
         with suppress(NumericalError):

@@ -32,8 +32,6 @@ from servo_daemon.samples import SampleBlock
 
 #: Mechanical and electrical time constants that are tried, s: from small coreless motors to geared axes.
 _MECHANICAL_S, _ELECTRICAL_S = (0.005, 0.03, 0.2), (0.0003, 0.003)
-#: Electrical time constants of small motors and of large servos, s.
-FAST_WINDING_S, SLOW_WINDING_S = 0.003, 0.03
 #: Viscous friction as a share of the back-EMF's braking K²/R; an effect's torque as a share of the motor's.
 _FRICTION_SHARE, _EFFECT_SHARE = 0.2, 0.05
 #: Sources of starts of which only the best are searched from.
@@ -66,14 +64,11 @@ def starting_points(
 
 
 def by_sizes(
-    recordings: Sequence[Recording],
-    problem: Problem,
-    nominal: Mapping[str, float],
-    electrical_s: float = FAST_WINDING_S,
+    recordings: Sequence[Recording], problem: Problem, nominal: Mapping[str, float]
 ) -> Iterator[Mapping[str, float]]:
-    """Guesses from the signals' sizes alone, natural values, one for each mechanical time constant that is no shorter
-    than the electrical one: with both exchanged the answer to the voltage is the same."""
-    yield from _from_sizes(_liveliest(_turning(recordings, problem)[0]), problem.plant, nominal, (electrical_s,))
+    """Guesses from the signals' sizes alone, natural values, one for each mechanical time constant."""
+    guesses = _from_sizes(_liveliest(_turning(recordings, problem)[0]), problem.plant, nominal)
+    yield from {values["J"]: values for values in guesses}.values()
 
 
 def _turning(recordings: Sequence[Recording], problem: Problem) -> tuple[list[SampleBlock], bool]:
@@ -124,12 +119,7 @@ def coordinates(start: Start, problem: Problem) -> dict[str, float]:
     return out | dict(problem.given)
 
 
-def _from_sizes(
-    block: SampleBlock,
-    plant: PlantModel,
-    nominal: Mapping[str, float],
-    electrical_s: Sequence[float] = _ELECTRICAL_S,
-) -> list[dict[str, float]]:
+def _from_sizes(block: SampleBlock, plant: PlantModel, nominal: Mapping[str, float]) -> list[dict[str, float]]:
     speed = max(speed_size(block), 1e-9)
     core: list[dict[str, float]] = []
     if plant.drive == "voltage":
@@ -140,10 +130,8 @@ def _from_sizes(
         R = 0.5 * voltage / max(current_size(block), 1e-9) if block.current_A is not None else 1.0
         if block.current_A is None and "Tg" in nominal:  # a known weight says how much torque a volt makes
             R = K * voltage / (2.0 * nominal["Tg"])
-        braking = K * K / R
-        for mechanical, electrical in product(_MECHANICAL_S, electrical_s):
-            if electrical > mechanical:
-                continue
+        for mechanical, electrical in product(_MECHANICAL_S, _ELECTRICAL_S):
+            braking = K * K / R
             J = mechanical * braking * (1 + _FRICTION_SHARE)
             core.append({"R": R, "L": R * electrical, "K": K, "J": J, "B": _FRICTION_SHARE * braking})
     else:
