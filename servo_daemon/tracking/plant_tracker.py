@@ -197,6 +197,8 @@ class PlantTracker(Tracker):
         judgement = self._supervision.judge(taken, ended)
         if judgement.restart is not None:
             return [*judgement.messages, *self._restart(judgement.restart)]
+        if judgement.begins_again:
+            self._begin_again()
         return judgement.messages
 
     def _stretch_of(self, tick: SampleBlock) -> tuple[Stretch, Mapping[str, float]]:

