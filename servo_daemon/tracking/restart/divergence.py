@@ -52,7 +52,8 @@ class DivergenceMonitor:
 
     def could_begin_better(self, tick: int) -> bool:
         """Each time that the regressions are worked off: whether the filter had to start from little and still does not
-        know what the regression knows by now (without it `test_a_filter_that_started_from_little_begins_better` fails).
+        know what the regression knows by now (without it `test_live_a_shaft_that_is_let_go_is_a_motor_like_any_other`
+        fails).
 
         Args:
             tick: number of the running filter's.
