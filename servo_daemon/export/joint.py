@@ -17,12 +17,15 @@ class Joint:
 
     Attributes:
         inertia: J n².
+        link_mass: of the moving link: as its inertia where it slides; 1 kg as a placeholder where it turns, which shows
+            only the inertia.
         damping: B n².
         friction, breakaway: Tc n and, with Stribeck friction, Ts n.
         stall, no_load: torque and speed at the voltage's limit, without and with only the motor's own motion.
     """
 
     inertia: float | None
+    link_mass: float | None
     damping: float | None
     friction: float | None
     breakaway: float | None
@@ -43,8 +46,10 @@ def joint_of(model: ExportedModel, target: str) -> Joint:
 
     current, voltage, K, R = model.limits.get("current_A"), model.limits.get("voltage_V"), v.get("K"), v.get("R")
     speed = model.limits.get("velocity_rad_s")
+    inertia = times("J", n**2)
     return Joint(
-        inertia=times("J", n**2),
+        inertia=inertia,
+        link_mass=inertia if model.linear or inertia is None else 1.0,
         damping=times("B", n**2),
         friction=times("Tc", n),
         breakaway=times("Ts", n),

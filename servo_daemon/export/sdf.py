@@ -25,7 +25,7 @@ def write(model: ExportedModel) -> Export:
         '<sdf version="1.9">',
         f'  <model name="{name}">',
         f'    <link name="{name}_output">',
-        *_inertial(joint, linear=model.linear),
+        *_inertial(joint),
         "    </link>",
         f'    <joint name="{name}" type="{"prismatic" if model.linear else "revolute"}">',
         "      <parent>world</parent>",
@@ -43,15 +43,14 @@ def write(model: ExportedModel) -> Export:
     return Export("\n".join(lines).encode(), tuple(notes))
 
 
-def _inertial(joint: Joint, *, linear: bool) -> list[str]:
-    """The moving link's mass and inertia. Of a link that turns only the inertia is known, of one that slides both are
-    the same number."""
-    if joint.inertia is None:
+def _inertial(joint: Joint) -> list[str]:
+    """The moving link's mass and inertia, where they are known."""
+    if joint.inertia is None or joint.link_mass is None:
         return []
-    i = number(joint.inertia)
+    i, mass = number(joint.inertia), number(joint.link_mass)
     return [
         "      <inertial>",
-        f"        <mass>{i if linear else 1}</mass>",
+        f"        <mass>{mass}</mass>",
         f"        <inertia><ixx>{i}</ixx><iyy>{i}</iyy><izz>{i}</izz>",
         "          <ixy>0</ixy><ixz>0</ixz><iyz>0</iyz></inertia>",
         "      </inertial>",

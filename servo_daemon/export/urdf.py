@@ -22,7 +22,7 @@ def write(model: ExportedModel) -> Export:
         f'<robot name="{name}">',
         f'  <link name="{name}_base"/>',
         f'  <link name="{name}_output">',
-        *_inertial(joint, linear=model.linear),
+        *_inertial(joint),
         "  </link>",
         f'  <joint name="{name}" type="{kind}">',
         f'    <parent link="{name}_base"/>',
@@ -64,14 +64,13 @@ def _limit(joint: Joint) -> list[str]:
     return [f'    <limit effort="{number(joint.effort)}" velocity="{number(joint.velocity)}"/>']
 
 
-def _inertial(joint: Joint, *, linear: bool) -> list[str]:
-    """The moving link's mass and inertia. Of a link that turns only the inertia is known, of one that slides both are
-    the same number."""
-    if joint.inertia is None:
+def _inertial(joint: Joint) -> list[str]:
+    """The moving link's mass and inertia, where they are known."""
+    if joint.inertia is None or joint.link_mass is None:
         return []
-    i = number(joint.inertia)
+    i, mass = number(joint.inertia), number(joint.link_mass)
     return [
-        f'    <inertial><mass value="{i if linear else 1}"/>',
+        f'    <inertial><mass value="{mass}"/>',
         f'      <inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial>',
     ]
 
