@@ -188,8 +188,8 @@ class _Fits:
         trial = fit_trial(self.data, p.effects, trial.values, like=trial) or trial
         if not trial.solution.converged and self.gained(trial) >= _KEPT * most:
             trial = fit_trial(self.data, p.effects, trial.values, like=trial, careful=True) or trial
-        coloured = trial.independent < COLOURED and not (self._smooth and is_smooth(trial))
-        if coloured and self.gained(trial) >= _KEPT * most:
+        coloured = trial.independent < COLOURED and self.gained(trial) >= _KEPT * most
+        if coloured and not (self._smooth and is_smooth(trial)):
             trial = _better(trial, fit_trial(self.data, p.effects, trial.values, rival=trial)) or trial
         equivalent = equivalent_lags(trial.values)
         if equivalent is not None:

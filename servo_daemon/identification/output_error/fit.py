@@ -46,7 +46,7 @@ from servo_daemon.identification.output_error.starts import (
 )
 from servo_daemon.kalman.gaussian import natural_values
 from servo_daemon.parameters import Parameter
-from servo_daemon.plant.effects import effects_by_name
+from servo_daemon.plant.effects import effects_by_name, parameter_table
 from servo_daemon.samples import F64
 
 
@@ -129,9 +129,7 @@ def published(fit: OutputErrorFit, recordings: Sequence[Recording], options: Fit
         rows_late: int = 0,
         mean_current: bool = False,
     ) -> OutputErrorFit | None:
-        known = effects_by_name()
-        parameters = (*fit.problem.plant.parameters, *(p for name in effects for p in known[name].parameters))
-        table = {p.name: p for p in parameters}
+        table = parameter_table()
         within = {n: float(np.clip(values[n], table[n].lower, table[n].upper)) for n in held}
         fixed = {**within, **options.fixed}
         with suppress(NumericalError):

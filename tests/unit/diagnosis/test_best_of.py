@@ -12,13 +12,13 @@ from servo_daemon.diagnosis.search.fitting import Candidate, best_of
 from servo_daemon.diagnosis.trial.compare import Advantage
 
 
-def trial(free: int, value: float) -> Any:
-    return SimpleNamespace(free=free, solution=SimpleNamespace(point=SimpleNamespace(value=value)))
+def trial(free: int) -> Any:
+    return SimpleNamespace(free=free)
 
 
 #: A faint drop at the brushes on slow reversals without a current, as it was found: dry friction gains more.
-FRICTION = Candidate("coulomb_friction", trial(6, -150_000.0), Advantage(4.606, 4.32, 4.93, -8912.9))
-BRUSHES = Candidate("brush_voltage_drop", trial(6, -180_000.0), Advantage(4.53, 4.26, 4.8, -12810.8))
+FRICTION = Candidate("coulomb_friction", trial(6), Advantage(4.606, 4.32, 4.93, -8912.9))
+BRUSHES = Candidate("brush_voltage_drop", trial(6), Advantage(4.53, 4.26, 4.8, -12810.8))
 
 
 def compared(monkeypatch: pytest.MonkeyPatch, brushes_over_friction: Advantage) -> None:
@@ -46,5 +46,5 @@ def test_else_the_one_that_gains_more(monkeypatch: pytest.MonkeyPatch, apart: Ad
 
 def test_a_likelier_one_of_more_parameters_has_to_earn_them(monkeypatch: pytest.MonkeyPatch) -> None:
     compared(monkeypatch, Advantage(-0.076, -0.396, 0.18, -416.3))
-    richer = Candidate("stribeck_friction", trial(8, -180_000.0), BRUSHES.against)
+    richer = Candidate("stribeck_friction", trial(8), BRUSHES.against)
     assert best_of([FRICTION, richer]) is FRICTION
