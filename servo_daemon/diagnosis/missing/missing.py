@@ -115,6 +115,7 @@ def missing_inputs(
     levels: NoiseLevels | None = None,
     least_walk: Mapping[str, float] | None = None,
     seen: NDArray[np.bool_] | None = None,
+    noise_first: bool = False,
 ) -> Missing:
     """Unmodelled torque and voltage over a capture.
 
@@ -126,6 +127,8 @@ def missing_inputs(
         levels: intensities; None: by maximum likelihood from this capture.
         least_walk: the walks are not slower than this, unit²/s.
         seen: shape (n,): see `Missing.seen`; None: everywhere.
+        noise_first: the likelihood may also say that all is noise (`fit_levels`); it may then take for noise of the
+            input what the model lacks.
 
     Raises:
         BadInputError: signals or samples are missing.
@@ -147,7 +150,7 @@ def missing_inputs(
     }
     if levels is None:
         start, floor = _start(a, problem.segments, size, steps)
-        levels = fit_levels(a, q, stretches, start, floor)
+        levels = fit_levels(a, q, stretches, start, floor, from_still=noise_first)
     if least_walk:
         levels = replace(levels, walk={d: max(w, least_walk.get(d, 0.0)) for d, w in levels.walk.items()})
     smoothed = tuple(_smooth(a, s, levels.constants(a, q)) for s in stretches)

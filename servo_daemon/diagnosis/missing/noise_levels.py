@@ -9,7 +9,7 @@ takes them, the likelihood does not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,25 +86,48 @@ def alive(values: F64) -> NDArray[np.bool_]:
     return np.asarray((k - begin < _ALIVE) | (end - k <= _ALIVE))
 
 
-def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseLevels, floor: F64) -> NoiseLevels:
+def fit_levels(
+    a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseLevels, floor: F64, *, from_still: bool = False
+) -> NoiseLevels:
     """Maximum likelihood from a start.
 
     Args:
         floor: shape (c,), least variance of each channel (quantisation).
+        from_still: also from where nothing walks, the likelier of both. What a winding lets through of its voltage's
+            noise looks much like a torque that walks, and from there no descent finds back.
     """
-    from scipy.optimize import minimize
-
-    pieces = _pieces(a, stretches)
-    at_once = [
-        (which, np.stack([pieces[k].begin() for k in which]), np.stack([pieces[k].rows for k in which]))
-        for which in alike(len(p.rows) for p in pieces).values()
-    ]
-    n_d = len(a.disturbances)
+    cost, n_d = _cost(a, q, _pieces(a, stretches)), len(a.disturbances)
     typical = np.log(
         [*(start.walk[d] for d in a.disturbances), start.input_var, *(start.channel_var[c] for c in a.channels)]
     )
     low = np.concatenate([typical[: n_d + 1] - 16.0, np.log(floor)])
     high = np.concatenate([typical[: n_d + 1] + 14.0, np.maximum(typical[n_d + 1 :], low[n_d + 1 :]) + 9.0])
+    limits = list(zip(low, high, strict=True))
+    begun = [_coarse(cost, typical, (*range(n_d + 1), *range(n_d)), limits)]
+    if from_still:
+        still = _descent(cost, np.concatenate([low[:n_d], typical[n_d:]]), limits)
+        begun.append(_coarse(cost, still, range(n_d), limits))
+    x = np.exp(min((_descent(cost, x, limits) for x in begun), key=cost))
+    walk = dict(zip(a.disturbances, x[:n_d].tolist(), strict=True))
+    return NoiseLevels(walk, float(x[n_d]), dict(zip(a.channels, x[n_d + 1 :].tolist(), strict=True)))
+
+
+def _descent(cost: Callable[[F64], float], start: F64, limits: Sequence[tuple[float, float]]) -> F64:
+    """To the next minimum; the start where none is found."""
+    from scipy.optimize import minimize
+
+    start = np.clip(start, *np.transpose(limits))
+    options = {"maxiter": 25, "eps": 1e-3, "ftol": 1e-7}
+    found = minimize(cost, start, method="L-BFGS-B", bounds=limits, options=options)
+    return np.asarray(found.x if found.fun < cost(start) else start)
+
+
+def _cost(a: Augmented, q: F64, pieces: Sequence[Stretch]) -> Callable[[F64], float]:
+    """−2 log L but for a constant, as a function of the logarithms of all levels: walks, input, channels."""
+    at_once = [
+        (which, np.stack([pieces[k].begin() for k in which]), np.stack([pieces[k].rows for k in which]))
+        for which in alike(len(p.rows) for p in pieces).values()
+    ]
 
     def cost(x: F64) -> float:
         constants = np.concatenate([q, np.exp(x)])
@@ -115,25 +138,23 @@ def fit_levels(a: Augmented, q: F64, stretches: Sequence[Stretch], start: NoiseL
         total = sum(of)
         return total if np.isfinite(total) else 1e12
 
-    # Coarse first, coordinate by coordinate: the walks may be off by many orders of magnitude, where slopes are flat.
-    best = np.clip(typical, low, high)
+    return cost
+
+
+def _coarse(
+    cost: Callable[[F64], float], start: F64, order: Iterable[int], limits: Sequence[tuple[float, float]]
+) -> F64:
+    """Coordinate by coordinate: the walks may be off by many orders of magnitude, where slopes are flat."""
+    low, high = np.transpose(limits)
+    best = np.clip(start, low, high)
     value = cost(best)
-    for k in (*range(n_d + 1), *range(n_d)):
+    for k in order:
         for trial in (-9.0, -4.5, 4.5, 9.0):
             x = best.copy()
             x[k] = np.clip(best[k] + trial, low[k], high[k])
             if (other := cost(x)) < value:
                 best, value = x, other
-    found = minimize(
-        cost,
-        best,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-        options={"maxiter": 25, "eps": 1e-3, "ftol": 1e-7},
-    )
-    x = np.exp(found.x if found.fun < value else best)
-    walk = dict(zip(a.disturbances, x[:n_d].tolist(), strict=True))
-    return NoiseLevels(walk, float(x[n_d]), dict(zip(a.channels, x[n_d + 1 :].tolist(), strict=True)))
+    return best
 
 
 def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:

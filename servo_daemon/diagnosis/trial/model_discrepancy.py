@@ -38,6 +38,27 @@ def longest_missing(data: Data, fit: Fitted, levels: NoiseLevels | None = None) 
     return balanced_missing_inputs(fit, longest.block, recording=number, seen=longest.seen, levels=levels)
 
 
+def if_noise(data: Data, fit: Fitted, missing: Missing) -> Missing:
+    """What is missing where the likelihood may call all of it noise: for whether a model explains its data.
+
+    Args:
+        missing: of `longest_missing`.
+
+    Raises:
+        NumericalError: the passes left the range of numbers.
+    """
+    number = data.longest
+    longest = data.recordings[number]
+    return missing_inputs(
+        fit,
+        longest.block,
+        recording=number,
+        coordinates=missing.coordinates,
+        seen=longest.seen,
+        noise_first=True,
+    )
+
+
 def seen_missing(data: Data, trial: Trial) -> Missing:
     """As `longest_missing`, for screening: never all of it taken for noise.
 
