@@ -14,16 +14,15 @@ from threadpoolctl import threadpool_limits
 from servo_daemon import __version__
 from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.diagnosis.inverse.inverse import found_by_balance
-from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.screening.dependence import dependences, is_large
 from servo_daemon.diagnosis.search.effort import Effort, Journal
 from servo_daemon.diagnosis.search.evidence import OVERWHELMING_BIC
 from servo_daemon.diagnosis.search.select import Selection, select
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits, fit_full_data
-from servo_daemon.diagnosis.trial.model_discrepancy import if_noise, longest_missing
-from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
-from servo_daemon.diagnosis.trial.split import CHOICE, segment_length_s
+from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
+from servo_daemon.diagnosis.trial.noise_floor import errs_beyond_noise
+from servo_daemon.diagnosis.trial.split import segment_length_s
 from servo_daemon.diagnosis.trial.trial import first_trial
 from servo_daemon.diagnosis.verdict.adequacy import Believed, believed
 from servo_daemon.diagnosis.verdict.differences import differences
@@ -35,10 +34,6 @@ from servo_daemon.identification.output_error import FitOptions, OutputErrorFit,
 from servo_daemon.identification.output_error.fit import published
 from servo_daemon.identification.procedure.validate import validated
 
-#: Errors of free runs that are not called explained: this many times what noise leaves (64 clean captures of the
-#: independent generator: 0.65 to 1.29 times, decision 93), and this share of the signal's RMS: where there is next to
-#: no noise, a clock's rounding and the simulation's own arithmetic are more than it (chosen).
-_BEYOND_NOISE, _LITTLE = 2.0, 1e-3
 #: Told how far it is, 0 .. 1, and what is being done.
 Progress = Callable[[float, str], None]
 
@@ -141,7 +136,7 @@ def _by_free_runs(
             bool(depends)
             or is_large(before)
             or _speaks_for_something(selection)
-            or _unexplained(selection, if_noise(every, baseline, before))
+            or errs_beyond_noise(every, baseline, selection.base, before)
         )
     progress(0.58, "what differs between the captures")
     held = {**every.fixed, **selection.chosen.held}
@@ -184,17 +179,6 @@ def _speaks_for_something(selection: Selection) -> bool:
     """Whether a cause fits far better that does not predict better: free runs that drift off with the drive's own noise
     do not decide, and yet it is no noise that is left."""
     return any(c.against.delta_bic < OVERWHELMING_BIC for c in selection.rounds[0])
-
-
-def _unexplained(selection: Selection, missing: Missing) -> bool:
-    """Whether free runs of the model err by more than noise does: not knowing why is no reason to call it explained.
-
-    Args:
-        missing: under it, of `if_noise`.
-    """
-    trial = selection.base
-    floor = noise_floor(measured_levels(missing), trial, CHOICE).nrmse
-    return trial.choice.nrmse > max(_LITTLE, _BEYOND_NOISE * floor)
 
 
 def _named(d: Diagnosis, found: Finding) -> Diagnosis:

@@ -17,6 +17,7 @@ from servo_daemon.identification.output_error import FitOptions, Recording, fit_
 from servo_daemon.samples import make_block
 from tests.recovery.generator import GEAR_MOTOR, LARGE_SERVO, RE40, EffectValues, Motor, Plan, Scenario, generate
 from tests.recovery.generator import Recording as Made
+from tests.recovery.hidden import Case, judge
 
 _RATE_HZ, _SECONDS, _HELD_S = 50.0, 60.0, 0.1
 _LATE_S = 0.015
@@ -86,6 +87,13 @@ def test_friction_that_grows_with_the_load_is_no_other_motor(tmp_path: Path) -> 
     mu = found.final.parameters["mu"]
     assert mu.value is not None and mu.std is not None
     assert abs(mu.value - 0.2) < 3 * mu.std < 0.02
+
+
+@pytest.mark.slow
+def test_what_screening_sees_nothing_of_is_fitted_where_free_runs_err_beyond_the_noise() -> None:
+    """Screening begins at a motor five times too large, where an eccentric encoder explains less than nothing."""
+    judgement = judge(Case("encoder_eccentricity", "clear", "gear", "pick_and_place", 4, current=False))
+    assert judgement.found == ("encoder_eccentricity",)
 
 
 def test_how_late_is_known_where_nothing_else_is() -> None:

@@ -16,6 +16,7 @@ from servo_daemon.diagnosis.screening.screen import ScreenedCandidate, screen
 from servo_daemon.diagnosis.search.candidates import (
     WORTH_A_PAIR,
     Proposal,
+    has_no_current,
     late_without_current,
     open_at_zero,
     pairs,
@@ -39,6 +40,7 @@ from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect, white_without
 from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
+from servo_daemon.diagnosis.trial.noise_floor import errs_beyond_noise
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
@@ -193,12 +195,15 @@ def _thought_little_of(
     search: _Search, screened: Sequence[ScreenedCandidate], missing: Missing, proposed: Sequence[Proposal]
 ) -> list[Proposal]:
     """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
-    linear in what may be far from it, and what it sees depends on what it took for noise. What is late, where no
-    current is measured, whatever is left."""
+    linear in what may be far from it, and what it sees depends on what it took for noise. Without a current also what
+    it saw nothing of: it begins at a motor that may be several times too large. What is late, where no current is
+    measured, whatever is left."""
     current, rest = search.current, tuple[Proposal, ...]()
     late = [*late_without_current(current), *open_at_zero(current)]
     if _promised(screened) > _PROMISING or (current.independent < COLOURED and not search.noise_is_left):
-        rest = _whatever(current, screened, missing)
+        hidden = has_no_current(current) and not search.added
+        everything = hidden and errs_beyond_noise(search.data, current, current, missing)
+        rest = _whatever(current, screened, missing, worth=-math.inf if everything else 0.0)
     others = [p for p in rest if p.name not in {q.name for q in late}]
     return [p for p in (*others, *late) if p.name not in {q.name for q in proposed}]
 
