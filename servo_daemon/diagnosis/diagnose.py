@@ -16,7 +16,6 @@ from servo_daemon.captures import Capture, in_canonical_order
 from servo_daemon.diagnosis.inverse.inverse import found_by_balance
 from servo_daemon.diagnosis.screening.dependence import dependences, is_large
 from servo_daemon.diagnosis.search.effort import Effort, Journal
-from servo_daemon.diagnosis.search.evidence import OVERWHELMING_BIC
 from servo_daemon.diagnosis.search.select import Selection, select
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits, fit_full_data
@@ -132,12 +131,7 @@ def _by_free_runs(
     depends, remains = belief.depends_on, bool(belief.depends_on)
     if belief.extended is None and not baseline.white:
         depends = dependences(baseline, before)
-        remains = (
-            bool(depends)
-            or is_large(before)
-            or _speaks_for_something(selection)
-            or errs_beyond_noise(every, baseline, selection.base, before)
-        )
+        remains = bool(depends) or is_large(before) or errs_beyond_noise(every, baseline, selection.base, before)
     progress(0.58, "what differs between the captures")
     held = {**every.fixed, **selection.chosen.held}
     spreads, own_models = differences(every.recordings, final, held, selection.data.split.segment_s)
@@ -173,12 +167,6 @@ def _otherwise(
         data, d.baseline, selection.base, nominal
     )
     return d if found is None else _named(d, found)
-
-
-def _speaks_for_something(selection: Selection) -> bool:
-    """Whether a cause fits far better that does not predict better: free runs that drift off with the drive's own noise
-    do not decide, and yet it is no noise that is left."""
-    return any(c.against.delta_bic < OVERWHELMING_BIC for c in selection.rounds[0])
 
 
 def _named(d: Diagnosis, found: Finding) -> Diagnosis:
