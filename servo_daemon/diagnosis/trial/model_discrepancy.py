@@ -42,21 +42,21 @@ def if_noise(data: Data, fit: Fitted, missing: Missing) -> Missing:
     """What is missing where the likelihood may call all of it noise: for whether a model explains its data.
 
     Args:
-        missing: of `longest_missing`.
-
-    Raises:
-        NumericalError: the passes left the range of numbers.
+        missing: of `longest_missing`; it is the answer where the passes with so much noise leave the range of numbers.
     """
     number = data.longest
     longest = data.recordings[number]
-    return missing_inputs(
-        fit,
-        longest.block,
-        recording=number,
-        coordinates=missing.coordinates,
-        seen=longest.seen,
-        noise_first=True,
-    )
+    try:
+        return missing_inputs(
+            fit,
+            longest.block,
+            recording=number,
+            coordinates=missing.coordinates,
+            seen=longest.seen,
+            noise_first=True,
+        )
+    except NumericalError:
+        return missing
 
 
 def seen_missing(data: Data, trial: Trial) -> Missing:

@@ -77,9 +77,6 @@ def errs_beyond_noise(data: Data, fit: Fitted, trial: Trial, missing: Missing) -
     Args:
         fit, trial: the model fitted to the data, and its free runs.
         missing: of the fit (`longest_missing`).
-
-    Raises:
-        NumericalError: the passes left the range of numbers.
     """
     if trial.choice.nrmse <= _LITTLE:
         return False

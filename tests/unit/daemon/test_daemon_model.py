@@ -196,7 +196,7 @@ def test_estimates_of_an_adopted_model_are_restored_with_it(start: Start, tmp_pa
 
 
 def test_alarms_follow_the_model(start: Start) -> None:
-    rig = tracking(start(configuration(limits={"R_max": 0.4, "Tc_max": 0.001})))
+    rig = tracking(start(configuration(limits={"R_max": 0.4, "Tc_max": 1.0})))
     assert rig.kinds().count("alarm") == 1 and rig.kinds().count("alarm_impossible") == 1, "there is no Tc"
     adopt(rig, Tc=0.02)
     rig.driver().feed(1000)

@@ -119,6 +119,36 @@ def test_everything_is_tried_unless_the_data_say_that_noise_is_left(
     for name in ("late_without_current", "open_at_zero"):
         monkeypatch.setattr(select, name, lambda _: ())
     little = SimpleNamespace(name="resistance_step")
-    monkeypatch.setattr(select, "_whatever", lambda *_: (little,))
-    search: Any = SimpleNamespace(current=SimpleNamespace(independent=0.3), noise_is_left=noise_is_left)
+    monkeypatch.setattr(select, "_whatever", lambda *_, worth: (little,))
+    search = _searched(current=True, noise_is_left=noise_is_left)
     assert select._thought_little_of(search, (), cast(Any, None), ()) == ([] if noise_is_left else [little])
+
+
+@pytest.mark.parametrize(
+    ("current", "added", "beyond", "worth"),
+    [
+        (False, (), True, -math.inf),
+        (False, (), False, 0.0),
+        (False, ("coulomb_friction",), True, 0.0),
+        (True, (), True, 0.0),
+    ],
+)
+def test_what_screening_saw_nothing_of_is_tried_without_a_current_and_beyond_the_noise(
+    monkeypatch: pytest.MonkeyPatch, current: bool, added: tuple[str, ...], beyond: bool, worth: float
+) -> None:
+    for name in ("late_without_current", "open_at_zero"):
+        monkeypatch.setattr(select, name, lambda _: ())
+    asked: list[float] = []
+    monkeypatch.setattr(select, "_whatever", lambda *_, worth: asked.append(worth) or ())  # type: ignore[func-returns-value]
+    monkeypatch.setattr(select, "errs_beyond_noise", lambda *_: beyond)
+    search = _searched(current=current, added=added)
+    assert select._thought_little_of(search, (), cast(Any, None), ()) == []
+    assert asked == [worth]
+
+
+def _searched(*, current: bool, added: tuple[str, ...] = (), noise_is_left: bool = False) -> Any:
+    """A search whose free runs leave coloured errors."""
+    channels = ("current_A", "position_rad") if current else ("position_rad",)
+    problem = SimpleNamespace(channels=channels, plant=SimpleNamespace(drive="voltage"))
+    trial = SimpleNamespace(independent=0.3, problem=problem)
+    return SimpleNamespace(current=trial, data=None, added=list(added), noise_is_left=noise_is_left)
