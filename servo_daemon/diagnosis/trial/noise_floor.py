@@ -72,16 +72,24 @@ def third_differences(parts: Sequence[F64]) -> float:
 
 
 def errs_beyond_noise(data: Data, fit: Fitted, trial: Trial, missing: Missing) -> bool:
-    """Whether free runs of a model err by more than noise does: not knowing why is no reason to call it explained.
+    """Whether free runs of a model err by more than noise does, and by more than a trifle: not knowing why is no reason
+    to call it explained.
+
+    Args:
+        fit, trial, missing: see `errs_by_noise`.
+    """
+    return trial.choice.nrmse > _LITTLE and not errs_by_noise(data, fit, trial, missing)
+
+
+def errs_by_noise(data: Data, fit: Fitted, trial: Trial, missing: Missing) -> bool:
+    """Whether free runs of a model err by no more than noise does.
 
     Args:
         fit, trial: the model fitted to the data, and its free runs.
         missing: of the fit (`longest_missing`).
     """
-    if trial.choice.nrmse <= _LITTLE:
-        return False
     floor = noise_floor(measured_levels(if_noise(data, fit, missing)), trial, CHOICE).nrmse
-    return trial.choice.nrmse > _BEYOND_NOISE * floor
+    return trial.choice.nrmse <= _BEYOND_NOISE * floor
 
 
 def noise_floor(levels: NoiseLevels, trial: Trial, part: int) -> Scored:

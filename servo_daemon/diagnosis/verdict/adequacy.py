@@ -41,7 +41,7 @@ from servo_daemon.diagnosis.trial.full_data_fit import (
 )
 from servo_daemon.diagnosis.trial.likelihood import as_likely, plainly_worse
 from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
-from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
+from servo_daemon.diagnosis.trial.noise_floor import errs_by_noise, measured_levels, noise_floor
 from servo_daemon.diagnosis.trial.split import CHOICE, shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.diagnosis.verdict.determined import is_determined, is_its_simpler
@@ -101,7 +101,7 @@ def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
         straight = _straight(data, selection.chosen, extended)
         if straight is not extended:
             extended, missing = straight, longest_missing(data, straight)
-        if not extended.white and _left(missing) > max(_LEFT * _explained(selection, before, missing), LEAST_SIZE):
+        if not extended.white and _leaves_much(selection, before, extended, missing):
             break
         if unhelpful := helps_no_other(selection):
             if set(unhelpful) == set(selection.added):
@@ -125,6 +125,14 @@ def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
             continue
         return found
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
+
+
+def _leaves_much(selection: Selection, before: Missing, extended: OutputErrorFit, missing: Missing) -> bool:
+    """Whether more is left than noise: beside what the effects explain, and in free runs. What a slow winding lets
+    through of its voltage's noise looks like a torque that is left."""
+    if _left(missing) <= max(_LEFT * _explained(selection, before, missing), LEAST_SIZE):
+        return False
+    return not errs_by_noise(selection.data, extended, selection.chosen, missing)
 
 
 def _without(selection: Selection, name: str) -> Selection:
