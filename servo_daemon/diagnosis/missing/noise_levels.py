@@ -26,6 +26,10 @@ PIECES, PIECE_SAMPLES, SETTLING = 8, 512, 40
 _ALIVE = 4
 #: A channel is in steps if this share of its readings repeats the one before (chosen; not tried).
 _REPEATS = 0.02
+#: −2 log L of the logarithms of all levels, their limits, and such logarithms with their −2 log L.
+_Cost = Callable[[F64], float]
+_Limits = Sequence[tuple[float, float]]
+_Point = tuple[F64, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,26 +107,32 @@ def fit_levels(
     low = np.concatenate([typical[: n_d + 1] - 16.0, np.log(floor)])
     high = np.concatenate([typical[: n_d + 1] + 14.0, np.maximum(typical[n_d + 1 :], low[n_d + 1 :]) + 9.0])
     limits = list(zip(low, high, strict=True))
-    begun = [_coarse(cost, typical, (*range(n_d + 1), *range(n_d)), limits)]
+    begun = [_coarse(cost, _at(cost, typical, limits), (*range(n_d + 1), *range(n_d)), limits)]
     if from_still:
-        still = _descent(cost, np.concatenate([low[:n_d], typical[n_d:]]), limits)
+        still = _descent(cost, _at(cost, np.concatenate([low[:n_d], typical[n_d:]]), limits), limits)
         begun.append(_coarse(cost, still, range(n_d), limits))
-    x = np.exp(min((_descent(cost, x, limits) for x in begun), key=cost))
+    best, _ = min((_descent(cost, point, limits) for point in begun), key=lambda point: point[1])
+    x = np.exp(best)
     walk = dict(zip(a.disturbances, x[:n_d].tolist(), strict=True))
     return NoiseLevels(walk, float(x[n_d]), dict(zip(a.channels, x[n_d + 1 :].tolist(), strict=True)))
 
 
-def _descent(cost: Callable[[F64], float], start: F64, limits: Sequence[tuple[float, float]]) -> F64:
+def _at(cost: _Cost, x: F64, limits: _Limits) -> _Point:
+    """The point within the limits."""
+    inside = np.clip(x, *np.transpose(limits))
+    return inside, cost(inside)
+
+
+def _descent(cost: _Cost, start: _Point, limits: _Limits) -> _Point:
     """To the next minimum; the start where none is found."""
     from scipy.optimize import minimize
 
-    start = np.clip(start, *np.transpose(limits))
     options = {"maxiter": 25, "eps": 1e-3, "ftol": 1e-7}
-    found = minimize(cost, start, method="L-BFGS-B", bounds=limits, options=options)
-    return np.asarray(found.x if found.fun < cost(start) else start)
+    found = minimize(cost, start[0], method="L-BFGS-B", bounds=limits, options=options)
+    return (np.asarray(found.x), float(found.fun)) if found.fun < start[1] else start
 
 
-def _cost(a: Augmented, q: F64, pieces: Sequence[Stretch]) -> Callable[[F64], float]:
+def _cost(a: Augmented, q: F64, pieces: Sequence[Stretch]) -> _Cost:
     """−2 log L but for a constant, as a function of the logarithms of all levels: walks, input, channels."""
     at_once = [
         (which, np.stack([pieces[k].begin() for k in which]), np.stack([pieces[k].rows for k in which]))
@@ -141,20 +151,16 @@ def _cost(a: Augmented, q: F64, pieces: Sequence[Stretch]) -> Callable[[F64], fl
     return cost
 
 
-def _coarse(
-    cost: Callable[[F64], float], start: F64, order: Iterable[int], limits: Sequence[tuple[float, float]]
-) -> F64:
+def _coarse(cost: _Cost, start: _Point, order: Iterable[int], limits: _Limits) -> _Point:
     """Coordinate by coordinate: the walks may be off by many orders of magnitude, where slopes are flat."""
-    low, high = np.transpose(limits)
-    best = np.clip(start, low, high)
-    value = cost(best)
+    best, value = start
     for k in order:
         for trial in (-9.0, -4.5, 4.5, 9.0):
             x = best.copy()
-            x[k] = np.clip(best[k] + trial, low[k], high[k])
+            x[k] = np.clip(best[k] + trial, *limits[k])
             if (other := cost(x)) < value:
                 best, value = x, other
-    return best
+    return best, value
 
 
 def _pieces(a: Augmented, stretches: Sequence[Stretch]) -> list[Stretch]:

@@ -4,7 +4,8 @@ the signals show.
 A level comes from no simulation's residual. It is what a filter cannot follow in which torque and voltage that the
 model lacks walk as fast as the data want (`missing`): what is wrong in a model goes into these walks. No sensor is
 noisier than third differences of its channel allow, in which motion is hardly left, none is more exact than its steps,
-and no input is noisier than converters are.
+and no input is noisier than converters are. Whether a model explains its data is asked with levels at which all may be
+noise (`errs_by_noise`).
 """
 
 from __future__ import annotations
