@@ -14,6 +14,7 @@ import pytest
 
 from drivers.base import DriverCounters
 from drivers.registry import make_driver
+from drivers.vesc.coverage import polls_a_check
 from drivers.vesc.listening import fields_of, key_of
 from drivers.vesc.packets import PacketReader
 from drivers.vesc.polling import PolledVesc
@@ -101,9 +102,9 @@ def test_means_and_angle_are_the_motors(tmp_path: Path, encoder: bool, extra: di
 def test_a_drive_behind_another_is_asked_by_forwarding(tmp_path: Path) -> None:
     with (
         line(tmp_path / "vesc", vesc(can_id=3)) as rig,
-        make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc"), "can_id": 3}) as driver,
+        make_driver("vesc", "axis1", {"port": str(tmp_path / "vesc"), "can_id": 3, "rate_hz": 200.0}) as driver,
     ):
-        read_until(driver, 20)
+        read_until(driver, 2 * polls_a_check(rate_hz=200.0))  # the seldom request is among them
         assert driver.info.identity.endswith("#3")
     assert {p[2:] for p in payloads_in(rig)} == ALLOWED
     assert {p[:2] for p in payloads_in(rig)} == {bytes([FORWARD_CAN, 3])}
