@@ -273,17 +273,20 @@ def _weakest(selection: Selection, floor: float) -> Selection | None:
 
 
 def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, full_fits: FullDataFits) -> Selection | None:
-    """The search's result less an effect without which the data are as likely; None: all are needed, or it cannot be
-    told.
+    """The search's result less an effect without which the data are as likely, or with what it contains in its place;
+    None: all are needed, or it cannot be told.
 
     Args:
         extended: fitted to the full data, with noise that enters the motor.
     """
     if not extended.white:
         return None
-    for name in selection.added:
-        others = tuple(a for a in selection.added if a != name)
-        without = without_effect(selection.data, selection.chosen, name) if others else selection.base
+    known = effects_by_name()
+    for name, instead in [(name, instead) for name in selection.added for instead in ((), *known[name].simpler)]:
+        others = tuple(o for a in selection.added for o in (instead if a == name else (a,)))
+        without = selection.base
+        if others:
+            without = without_effect(selection.data, selection.chosen, name, instead=instead)
         if without is None or plainly_worse(without, selection.chosen):
             continue
         if as_likely(without, extended, full_fits.of):
@@ -293,11 +296,13 @@ def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, full_f
 
 def _left(missing: Missing) -> float:
     """RMS of what is missing where the motor moves, but for moments, as a share of what it works with: the larger of
-    torque and voltage. What a shaft that sticks keeps from showing is no part of it."""
+    torque and voltage. Neither what its standard deviations explain is part of it, nor what a shaft that sticks keeps
+    from showing."""
     moving = missing.seen & ~motion_of(missing).rest
-    squares = [np.sort(np.square(v[moving] / missing.size[n])) for n, v in missing.series.items()]
+    series = [(v[moving], missing.std[n][moving], missing.size[n]) for n, v in missing.series.items()]
+    squares = [np.sort((v**2 - std**2) / size**2) for v, std, size in series]
     most = (float(np.mean(s[: max(round((1.0 - _MOMENTS) * len(s)), 1)])) for s in squares if len(s))
-    return math.sqrt(max(most, default=0.0))
+    return math.sqrt(max([0.0, *most]))
 
 
 def _explained(selection: Selection, before: Missing, after: Missing) -> float:

@@ -14,7 +14,7 @@ Identification*, 2nd ed. 1999, sec. 8.4; Jategaonkar, *Flight Vehicle System Ide
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -231,14 +231,20 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
             before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
             settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
             whitened, _ = whiten_point(problem, point, a)
-    return _End(point, whitened, a, _step(problem, whitened)[1])
+    return _End(point, whitened, a, _step(problem, whitened, held=event_times_of(problem))[1])
 
 
-def _step(problem: Problem, whitened: Point) -> tuple[F64, float]:
-    """The Gauss–Newton step and what it promises, in units of −2 log p."""
+def _step(problem: Problem, whitened: Point, held: Sequence[int] = ()) -> tuple[F64, float]:
+    """The Gauss–Newton step and what it promises, in units of −2 log p.
+
+    Args:
+        held: columns that stay. What the slope by an event time promises ends at the next sample (`event_times`): no
+            search waits for it to be kept.
+    """
     H, g = normal_equations(problem, whitened)
     H = H + np.diag(np.where(problem.logarithmic, _FAINT, 0.0))
     free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
+    free[list(held)] = False
     A, size = in_units_of_each(H[np.ix_(free, free)])
     step = np.zeros(len(g))
     step[free] = np.linalg.solve(A, g[free] / size) / size

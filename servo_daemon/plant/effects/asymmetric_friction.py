@@ -38,9 +38,6 @@ B_NEG = Parameter(
     scale=Scale(1.0, B=1),
 )
 
-#: Viscous frictions that differ by less are the same: only the dry levels differ, as beside a constant load.
-_ALIKE = 0.15
-
 
 def _terms(s: Signals) -> Terms:
     return Terms(
@@ -59,7 +56,7 @@ def _as_simpler(value: Values, instead: Sequence[str]) -> Values | None:
     mean, half = (value["Tc"] + value["Tc_neg"]) / 2, (value["Tc"] - value["Tc_neg"]) / 2
     if "constant_load_torque" not in instead:
         return {"Tc": mean}
-    return {"Tc": mean, "TL": half} if abs(value["B_neg"] / value["B"] - 1.0) < _ALIKE else None
+    return {"Tc": mean, "TL": half}
 
 
 def _screening(c: Context) -> Iterator[Basis]:
