@@ -77,6 +77,16 @@ def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
     ("cause", "strength", "motor", "motion", "seed"),
     [
         ("cogging_torque", "clear", "re40", "multisine", 248881),  # a few free runs turn the wrong way
+        # friction by direction, which contains both, fits as well
+        ("constant_load_torque+coulomb_friction", "clear", "re40", "reversals", 291001),
+        ("brush_voltage_drop", "clear", "re40", "reversals", 291003),  # noise of the voltage is left as a torque
+        (
+            "measurement_delay",
+            "clear",
+            "re40",
+            "steps",
+            291004,
+        ),  # … passes for noise of its sensor
         ("position_dependent_friction", "clear", "gear", "steps", 240861),  # without it B is driven to nothing
         ("constant_load_torque+coulomb_friction", "clear", "gear", "reversals", 429300),  # friction one way only
         ("brush_voltage_drop", "clear", "gear", "reversals", 169485),  # its current reverses within a sample

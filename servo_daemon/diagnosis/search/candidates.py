@@ -175,17 +175,16 @@ def has_no_current(trial: Trial) -> bool:
     return trial.problem.plant.drive == "voltage" and "current_A" not in trial.problem.channels
 
 
-def late_without_current(current: Trial) -> Iterator[Proposal]:
-    """Each late sensor and a lag of the drive, beginning where the fitted L/R would be theirs.
+def late_signals(current: Trial) -> Iterator[Proposal]:
+    """Each late sensor and a lag of the drive.
 
-    Without a current nothing else tells a dead time from the winding's time constant, which is in the model before it:
-    what is left then passes as noise of the sensor, since it lasts a sample or two, and screening sees none of it.
+    What is late makes an error of a sample or two wherever the motion changes, which passes for noise of the sensor:
+    screening sees none of it. Without a current nothing else tells a dead time from the winding's time constant, which
+    is in the model before it: they begin where the fitted L/R would be theirs; else at a sample.
     """
-    if not has_no_current(current):
-        return
-    channels = current.problem.channels
+    channels, hidden = current.problem.channels, has_no_current(current)
     known, values, period_s = effects_by_name(), current.values, current.problem.sample_period_s
-    taken_s = max(values["L"] / values["R"], period_s / 2)
+    taken_s = max(values["L"] / values["R"], period_s / 2) if hidden else period_s
     seen_s = min(taken_s, (LATE_STEPS - 1) * period_s)
     choices = known["measurement_delay"].parameters[1].choices
     late = [{"t_d": seen_s, "channel": float(choices.index(c))} for c in channels]
@@ -194,8 +193,8 @@ def late_without_current(current: Trial) -> Iterator[Proposal]:
         if effects is None:
             continue
         left_s = max(taken_s - next(iter(more.values())), _LEFT_TO_L * taken_s)
-        winding = {"L": left_s * values["R"]} if "L" in current.problem.free else {}
-        yield Proposal(name, effects, {**values, **more, **winding}, {**values, **more}, far=True)
+        winding = {"L": left_s * values["R"]} if hidden and "L" in current.problem.free else {}
+        yield Proposal(name, effects, {**values, **more, **winding}, {**values, **more}, far=hidden)
 
 
 def open_at_zero(current: Trial) -> Iterator[Proposal]:

@@ -8,25 +8,20 @@ fewer samples they are). Each alone is fooled by encoders and converters.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from servo_daemon.diagnosis.missing.missing import Missing
-from servo_daemon.diagnosis.screening.screen import ScreenedCandidate, screen
+from servo_daemon.diagnosis.screening.screen import screen
 from servo_daemon.diagnosis.search.candidates import (
     WORTH_A_PAIR,
     Proposal,
-    has_no_current,
-    late_without_current,
-    open_at_zero,
     pairs,
     proposals,
-    scaled_friction,
 )
 from servo_daemon.diagnosis.search.effort import Effort
 from servo_daemon.diagnosis.search.evidence import at_odds, noticeable, speaks_against_screening, worth_a_name
 from servo_daemon.diagnosis.search.fitting import (
-    COLOURED,
     Candidate,
     best_of,
     closer,
@@ -36,11 +31,11 @@ from servo_daemon.diagnosis.search.fitting import (
     ties,
 )
 from servo_daemon.diagnosis.search.pruning import one_offset, pruned
+from servo_daemon.diagnosis.search.unscreened import PROMISING, Asked, promised_by, unscreened, whatever
 from servo_daemon.diagnosis.trial.compare import advantage
 from servo_daemon.diagnosis.trial.data import Data
 from servo_daemon.diagnosis.trial.likelihood import Whole, needs_no_effect, white_without
 from servo_daemon.diagnosis.trial.model_discrepancy import leaves, leaves_less, seen_missing
-from servo_daemon.diagnosis.trial.noise_floor import errs_beyond_noise
 from servo_daemon.diagnosis.trial.split import shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.errors import NumericalError
@@ -48,8 +43,6 @@ from servo_daemon.identification.short_runs import has_found_states
 
 #: At most so many effects are taken (chosen; not tried).
 _MOST_EFFECTS = 4
-#: Screened so well, a cause must show in a fit: if none does, the free runs are too long for this motor.
-_PROMISING = 0.25
 #: … of these: with them a motor may stand where it cannot stay.
 _UNSTABLE = ("cogging_torque", "gravity_load")
 #: … and so much of what it promised (chosen; not tried).
@@ -103,7 +96,7 @@ def select(data: Data, base: Trial, progress: Progress, whole: Whole, effort: Ef
             if search.added:
                 break  # the model before could be looked at, this one cannot: it is the last
             raise
-        search, candidates, best = _round(search, missing, _after(progress, share), effort)
+        search, candidates, best = _round(search, missing, _after(progress, share), whole, effort)
         if best is not None and not search.added:
             search.noise_is_left = white_without(search.base, best.trial, whole) is not None
             best = None if needs_no_effect(search.base, best.trial, whole) else best
@@ -140,7 +133,7 @@ class _Search:
 _Found = tuple[_Search, tuple[Candidate, ...], Candidate | None]
 
 
-def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort) -> _Found:
+def _round(search: _Search, missing: Missing, progress: Progress, whole: Whole, effort: Effort) -> _Found:
     """What is tried beside the present model: one effect, over shorter runs where the motor may be unstable, two."""
     current = search.current
     screened = screen(current, missing)
@@ -150,11 +143,12 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
     found = _against_the_best_chance(search, seen_enough(worthy, screened) if search.added else worthy)
     if has_found_states(current.fitted):  # what is left is how the load went on within the runs
         return found
-    if found[2] is None and (rest := _thought_little_of(search, screened, missing, proposed)):
+    asked = Asked(search.data, current, missing, first=not search.added, noise_is_left=search.noise_is_left)
+    if found[2] is None and (rest := unscreened(asked, screened, proposed, whole)):
         more = tuple(c for c in _worthy(search, missing, rest, effort) if speaks_against_screening(c.against))
         found = _against_the_best_chance(search, (*more, *found[1]))
-    promised = _promised(s for s in screened if s.effect in _UNSTABLE)
-    broken = promised > _PROMISING and not _kept_promise(found, missing, promised)
+    promised = promised_by(s for s in screened if s.effect in _UNSTABLE)
+    broken = promised > PROMISING and not _kept_promise(found, missing, promised)
     if broken or (found[2] is None and any(c.name.startswith(_UNSTABLE) and at_odds(c.against) for c in found[1])):
         progress(0.2, "once more with shorter free runs")
         found = _with_shorter_runs(found, [p for p in proposed if p.name.startswith(_UNSTABLE)], effort)
@@ -165,7 +159,7 @@ def _round(search: _Search, missing: Missing, progress: Progress, effort: Effort
         beside = _beside(search, first, candidates, effort)
         if beside[2] is not None:
             return beside
-    if best is not None or _promised(screened) <= _PROMISING:
+    if best is not None or promised_by(screened) <= PROMISING:
         return found
     progress(0.3, "two causes at once")
     proposed = pairs(proposals(search.current, screened, missing, WORTH_A_PAIR), missing.augmented.channels)
@@ -182,46 +176,13 @@ def _beside(search: _Search, first: Candidate, candidates: tuple[Candidate, ...]
         missing = seen_missing(search.data, current)
     except NumericalError:
         return search, candidates, None
-    proposed = _whatever(current, screen(current, missing), missing, search.data.fixed, worth=-math.inf)
+    proposed = whatever(current, screen(current, missing), missing, search.data.fixed, worth=-math.inf)
     two = tuple(
         replace(c, name=f"{first.name} + {c.name}", against=advantage(search.current, c.trial))
         for c in fitted(search.data, current, proposed, effort)
         if noticeable(c.name, c.trial, missing) and worth_a_name(c.trial, current, search.base)
     )
     return search, (*two, *candidates), best_of(tuple(sorted(two, key=lambda c: -c.against.gain)))
-
-
-def _thought_little_of(
-    search: _Search, screened: Sequence[ScreenedCandidate], missing: Missing, proposed: Sequence[Proposal]
-) -> list[Proposal]:
-    """What gets a fit although screening saw little of it. If it is not noise that is left, everything: screening is
-    linear in what may be far from it, and what it sees depends on what it took for noise. Without a current also what
-    it saw nothing of: it begins at a motor that may be several times too large. What is late, where no current is
-    measured, whatever is left."""
-    current, rest = search.current, tuple[Proposal, ...]()
-    late = [*late_without_current(current), *open_at_zero(current)]
-    if _promised(screened) > _PROMISING or (current.independent < COLOURED and not search.noise_is_left):
-        hidden = has_no_current(current) and not search.added
-        everything = hidden and errs_beyond_noise(search.data, current, current, missing)
-        rest = _whatever(current, screened, missing, worth=-math.inf if everything else 0.0)
-    others = [p for p in rest if p.name not in {q.name for q in late}]
-    return [p for p in (*others, *late) if p.name not in {q.name for q in proposed}]
-
-
-def _whatever(
-    current: Trial,
-    screened: Sequence[ScreenedCandidate],
-    missing: Missing,
-    given: Collection[str] = (),
-    worth: float = 0.0,
-) -> tuple[Proposal, ...]:
-    """All of which screening saw anything, however little, and what only scales a friction that is there.
-
-    Args:
-        given, worth: see `proposals`.
-    """
-    scaled = scaled_friction(current.effects, current.problem.channels, current.values, current.values)
-    return tuple({p.name: p for p in (*scaled, *proposals(current, screened, missing, worth, given))}.values())
 
 
 def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], effort: Effort) -> tuple[Candidate, ...]:
@@ -239,11 +200,6 @@ def _worthy(search: _Search, missing: Missing, proposed: Sequence[Proposal], eff
 def _after(progress: Progress, share: float) -> Progress:
     """As told by what begins there."""
     return lambda done, step: progress(share + done, step)
-
-
-def _promised(screened: Iterable[ScreenedCandidate]) -> float:
-    """Share of what is missing that the best of them explains."""
-    return max((s.heldout_share for s in screened), default=0.0)
 
 
 def _against_the_best_chance(search: _Search, candidates: tuple[Candidate, ...]) -> _Found:

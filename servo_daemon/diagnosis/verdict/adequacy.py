@@ -17,14 +17,12 @@ import numpy as np
 
 from servo_daemon.diagnosis.missing.missing import Missing
 from servo_daemon.diagnosis.missing.noise_levels import NoiseLevels
-from servo_daemon.diagnosis.missing.signals import motion_of
-from servo_daemon.diagnosis.screening.dependence import LEAST_SIZE, Dependence, dependences
+from servo_daemon.diagnosis.screening.dependence import Dependence, dependences
 from servo_daemon.diagnosis.search.evidence import (
     LEAST_OWN,
     LEAST_TOGETHER,
     are_what_they_are_called,
     noticeable,
-    working_shares,
 )
 from servo_daemon.diagnosis.search.pruning import are_a_load, offsets_alike, pruned, without_effect
 from servo_daemon.diagnosis.search.select import Selection
@@ -41,20 +39,17 @@ from servo_daemon.diagnosis.trial.full_data_fit import (
 )
 from servo_daemon.diagnosis.trial.likelihood import as_likely, plainly_worse
 from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
-from servo_daemon.diagnosis.trial.noise_floor import errs_by_noise, measured_levels, noise_floor
+from servo_daemon.diagnosis.trial.noise_floor import measured_levels, noise_floor
 from servo_daemon.diagnosis.trial.split import CHOICE, shorter_s
 from servo_daemon.diagnosis.trial.trial import Trial, fit_trial
 from servo_daemon.diagnosis.verdict.determined import is_determined, is_its_simpler
 from servo_daemon.diagnosis.verdict.other_captures import helps_no_other
+from servo_daemon.diagnosis.verdict.remains import leaves_much, removed_of_missing
 from servo_daemon.errors import NumericalError
 from servo_daemon.identification.output_error import OutputErrorFit
 from servo_daemon.identification.output_error.precision.parameters import FittedParameter
 from servo_daemon.plant.effects import effects_by_name
 
-#: What is left where the motor moves is no more than this share of what the effects explain (right names of the
-#: calibration set: at most 0.05, an eddy-current brake called Coulomb friction: 0.8), but for so many of the samples.
-#: Impacts and first steps come a sample early or late in the best of models: what is left at moments is no sign.
-_LEFT, _MOMENTS = 0.15, 0.02
 #: Standard deviations by which two estimates differ that cannot both be right (Gaussian: once in 370 times).
 _DIFFERENT = 3.0
 
@@ -96,12 +91,12 @@ def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
             break
         removed = removed_share(selection.base.choice.nrmse, selection.chosen.choice.nrmse, floor)
         # A motor with a gap runs freely nowhere for long: the balances, which run nowhere, may speak for it.
-        if max(removed, _removed_of_missing(before, missing)) < LEAST_TOGETHER:
+        if max(removed, removed_of_missing(before, missing)) < LEAST_TOGETHER:
             break
         straight = _straight(data, selection.chosen, extended)
         if straight is not extended:
             extended, missing = straight, longest_missing(data, straight)
-        if not extended.white and _leaves_much(selection, before, extended, missing):
+        if not extended.white and leaves_much(selection, before, extended, missing):
             break
         if unhelpful := helps_no_other(selection):
             if set(unhelpful) == set(selection.added):
@@ -125,14 +120,6 @@ def believed(selection: Selection, full_fits: FullDataFits) -> Believed:
             continue
         return found
     return Believed(replace(selection, chosen=selection.base, added=(), equivalent={}), None, None, (), None)
-
-
-def _leaves_much(selection: Selection, before: Missing, extended: OutputErrorFit, missing: Missing) -> bool:
-    """Whether more is left than noise: beside what the effects explain, and in free runs. What a slow winding lets
-    through of its voltage's noise looks like a torque that is left."""
-    if _left(missing) <= max(_LEFT * _explained(selection, before, missing), LEAST_SIZE):
-        return False
-    return not errs_by_noise(selection.data, extended, selection.chosen, missing)
 
 
 def _without(selection: Selection, name: str) -> Selection:
@@ -165,7 +152,10 @@ def _published(selection: Selection, decided: tuple[OutputErrorFit, Missing], le
     """
     data, trial = selection.data.full, selection.chosen
     full_fits = FullDataFits(data) if decided[0].white else None
-    extended = _straight(data, trial, fit_full_data(data, trial, full_fits, _screened_start(selection)))
+    near = full_fits.of(trial, decided[0].values) if full_fits is not None else None
+    if near is None or not near.white:
+        near = fit_full_data(data, trial, full_fits, _screened_start(selection))
+    extended = _straight(data, trial, near)
     missing = longest_missing(data, extended, decided[1].levels)
     depends = () if extended.white else dependences(extended, missing)
     better = by_predictions(data, extended)
@@ -244,18 +234,6 @@ def removed_share(before: float, after: float, floor: float) -> float:
     return 0.0 if room <= 0 else (before**2 - after**2) / room
 
 
-def _removed_of_missing(before: Missing, after: Missing) -> float:
-    """The same share of unmodelled torque and voltage, in mean squares beyond what their standard deviations
-    explain."""
-    room, taken = 0.0, 0.0
-    for n, was in before.mean_square.items():
-        left = after.mean_square.get(n, 0.0)
-        noise = float(np.mean(np.square(after.std[n][after.seen]))) / before.size[n] ** 2 if n in after.std else 0.0
-        room += max(was - min(noise, left), 0.0)
-        taken += was - left
-    return taken / room if room > 0.0 else 0.0
-
-
 def _weakest(selection: Selection, floor: float) -> Selection | None:
     """Without the effect that takes least of what the others leave, if that is too little; None: all take enough."""
     if len(selection.added) < 2:
@@ -282,32 +260,12 @@ def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, full_f
     if not extended.white:
         return None
     known = effects_by_name()
-    for name, instead in [(name, instead) for name in selection.added for instead in ((), *known[name].simpler)]:
+    for name, instead in ((a, other) for a in selection.added for other in ((), *known[a].simpler)):
         others = tuple(o for a in selection.added for o in (instead if a == name else (a,)))
-        without = selection.base
-        if others:
-            without = without_effect(selection.data, selection.chosen, name, instead=instead)
+        data, chosen = selection.data, selection.chosen
+        without = without_effect(data, chosen, name, instead=instead) if others else selection.base
         if without is None or plainly_worse(without, selection.chosen):
             continue
         if as_likely(without, extended, full_fits.of):
             return replace(selection, chosen=without, added=others)
     return None
-
-
-def _left(missing: Missing) -> float:
-    """RMS of what is missing where the motor moves, but for moments, as a share of what it works with: the larger of
-    torque and voltage. Neither what its standard deviations explain is part of it, nor what a shaft that sticks keeps
-    from showing."""
-    moving = missing.seen & ~motion_of(missing).rest
-    series = [(v[moving], missing.std[n][moving], missing.size[n]) for n, v in missing.series.items()]
-    squares = [np.sort((v**2 - std**2) / size**2) for v, std, size in series]
-    most = (float(np.mean(s[: max(round((1.0 - _MOMENTS) * len(s)), 1)])) for s in squares if len(s))
-    return math.sqrt(max([0.0, *most]))
-
-
-def _explained(selection: Selection, before: Missing, after: Missing) -> float:
-    """The effects' torques and voltages as a share of what the motor works with; at least what is told by the missing
-    series themselves."""
-    left = after.mean_square
-    by_series = [math.sqrt(max(was - left[n], 0.0)) for n, was in before.mean_square.items() if n in left]
-    return max([*working_shares(selection.added, selection.chosen, after).values(), *by_series], default=0.0)

@@ -45,8 +45,13 @@ from servo_daemon.identification.output_error.solver.solver import (
 from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value
 from servo_daemon.samples import F64
 
-#: Most steps, and most halvings of one.
-_STEPS, _HALVINGS = 30, 6
+#: Most steps, and most trials of one.
+_STEPS, _TRIALS = 30, 8
+#: Least damping, and by how much it grows and falls.
+_LEAST_DAMPING, _DAMPED = 1e-5, 10.0
+#: A step that promises less than this, a standard deviation, is taken unasked: what the filter's own change with the
+#: parameters does to the likelihood is left out of the equations and may be as large.
+_ASKED = 1.0
 #: A step left over that is not smaller than this share of the last one has gone too far: the next are halved, and at
 #: the least share of a step nothing will move any more.
 _PROGRESS, _LEAST_SHARE = 0.8, 1 / 256
@@ -211,18 +216,23 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
 
     In turn, because the noise as seen from a poor estimate leads astray where the data say little.
     """
-    settled, share, last = False, 1.0, np.inf
+    settled, share, last, damping = False, 1.0, np.inf, 0.0
     whitened, _ = whiten_point(problem, point, a)
     for steps in range(_STEPS):
         step, decrement = _step(problem, whitened)
         if steps > 0 and whitened.value - _REACH * decrement > below:
             return None
-        share, last = (share / 2 if decrement > _PROGRESS * last else share), decrement  # to and fro in a curved valley
+        to_and_fro = decrement < _ASKED and decrement > _PROGRESS * last
+        share, last = (share / 2 if to_and_fro else share), decrement
         if share < _LEAST_SHARE:
             break
         if decrement < _DECREMENT and settled:
             break
-        better = _along(problem, (point, whitened), share * step, a, decrement) if decrement >= _DECREMENT else None
+        better = None
+        if decrement >= _ASKED:
+            better, damping = _downhill(problem, (point, whitened), a, damping)
+        elif decrement >= _DECREMENT:
+            better = _moved_by(problem, (point, whitened), share * step, a)
         if better is not None:
             point, whitened = better
         elif settled:
@@ -234,10 +244,11 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
     return _End(point, whitened, a, _step(problem, whitened, held=event_times_of(problem))[1])
 
 
-def _step(problem: Problem, whitened: Point, held: Sequence[int] = ()) -> tuple[F64, float]:
+def _step(problem: Problem, whitened: Point, held: Sequence[int] = (), damping: float = 0.0) -> tuple[F64, float]:
     """The Gauss–Newton step and what it promises, in units of −2 log p.
 
     Args:
+        damping: of each unknown, as a share of what the data know of it (Marquardt 1963).
         held: columns that stay. What the slope by an event time promises ends at the next sample (`event_times`): no
             search waits for it to be kept.
     """
@@ -246,6 +257,7 @@ def _step(problem: Problem, whitened: Point, held: Sequence[int] = ()) -> tuple[
     free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
     free[list(held)] = False
     A, size = in_units_of_each(H[np.ix_(free, free)])
+    A += damping * np.eye(len(A))
     step = np.zeros(len(g))
     step[free] = np.linalg.solve(A, g[free] / size) / size
     return step, float(g @ step)
@@ -272,22 +284,29 @@ def _likelihood(problem: Problem, point: Point, limits: tuple[F64, F64]) -> Nois
     )
 
 
-def _along(
-    problem: Problem, here: tuple[Point, Point], step: F64, a: F64, decrement: float
-) -> tuple[Point, Point] | None:
-    """The first point along the step, halved at most `_HALVINGS` times, that is as good as this one. A step of less
-    than a standard deviation is not asked: what the filter's own change with the parameters does to the likelihood is
-    left out of the equations and may be as large."""
-    point, whitened = here
+def _downhill(
+    problem: Problem, here: tuple[Point, Point], a: F64, damping: float
+) -> tuple[tuple[Point, Point] | None, float]:
+    """A damped step that is better than this place, and the damping of the next; None: none is, up to the largest.
+    Damping follows a valley that is curved, which a step that is only made shorter leaves to the side."""
+    _, whitened = here
+    for tried in range(_TRIALS):
+        step, _ = _step(problem, whitened, damping=damping)
+        trial = _moved_by(problem, here, step, a)
+        if trial is not None and trial[1].value < whitened.value:
+            return trial, damping if tried else damping / _DAMPED
+        damping = max(damping * _DAMPED, _LEAST_DAMPING)
+    return None, damping
+
+
+def _moved_by(problem: Problem, here: tuple[Point, Point], step: F64, a: F64) -> tuple[Point, Point] | None:
+    """The point after a step; None: it cannot be simulated."""
     grown = np.log1p(np.maximum(step, 0.0))
     step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, np.maximum(grown, _LONGEST)), step)
-    for halved in range(_HALVINGS):
-        unknowns = within(problem, point.unknowns + step / 2**halved)
-        with np.errstate(over="ignore", invalid="ignore"):
-            linear = linearise(problem, unknowns)
-        if not linear.finite:
-            continue
-        trial = point_of(problem, unknowns, linear, point.weights)
-        if decrement < 1.0 or whitened_value(problem, trial, a) < whitened.value:
-            return trial, whiten_point(problem, trial, a)[0]
-    return None
+    unknowns = within(problem, here[0].unknowns + step)
+    with np.errstate(over="ignore", invalid="ignore"):
+        linear = linearise(problem, unknowns)
+    if not linear.finite:
+        return None
+    trial = point_of(problem, unknowns, linear, here[0].weights)
+    return trial, whiten_point(problem, trial, a)[0]

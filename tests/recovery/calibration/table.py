@@ -15,7 +15,7 @@ import numpy as np
 
 from tests.recovery.calibration.cases import Result
 
-_EVIDENCE, _ADEQUACY, _JUMPS = "diagnosis.search.evidence", "diagnosis.verdict.adequacy", "tracking.changes.search"
+_EVIDENCE, _JUMPS = "diagnosis.search.evidence", "tracking.changes.search"
 _NOISE, _WATCH, _FUSION = "tracking.noise.levels", "tracking.noise.watch", "tracking.validity.fusion"
 #: On which side of a threshold something is there: an effect, structure in what is left, a change of the motor, a model
 #: that lacks something, a value that is not known.
@@ -32,13 +32,13 @@ SPEAKS: Mapping[str, str] = {
     f"{_EVIDENCE}.PLAINLY": "above",
     f"{_EVIDENCE}._LITTLE_LOST": "above",
     f"{_EVIDENCE}._LEAST_OF_ALL": "above",
-    f"{_ADEQUACY}._LEFT": "above",
+    "diagnosis.verdict.remains._LEFT": "above",
     "diagnosis.screening.dependence.LEAST_SHARE": "above",
     "diagnosis.screening.dependence.LEAST_SIZE": "above",
     "diagnosis.search.fitting.COLOURED": "below",
     "diagnosis.trial.likelihood._LIKELIER": "above",
     "diagnosis.trial.likelihood._PLAINLY": "above",
-    "diagnosis.search.select._PROMISING": "above",
+    "diagnosis.search.unscreened.PROMISING": "above",
     "identification.output_error.noise.residual.RELEVANT": "above",
     "identification.output_error.noise.residual._SIGNIFICANT": "above",
     f"{_WATCH}.WHITE_IN": "above",

@@ -11,7 +11,7 @@ import pytest
 from servo_daemon.diagnosis.screening.dependence import _moments
 from servo_daemon.diagnosis.screening.screen import ScreenedCandidate
 from servo_daemon.diagnosis.search import select
-from servo_daemon.diagnosis.search.candidates import Proposal, late_without_current, proposals
+from servo_daemon.diagnosis.search.candidates import Proposal, late_signals, proposals
 from servo_daemon.diagnosis.search.evidence import (
     are_what_they_are_called,
     at_odds,
@@ -121,7 +121,6 @@ def test_what_stands_in_an_effects_place_begins_nearest_to_it() -> None:
     assert by_direction(values, ("coulomb_friction",)) == pytest.approx({"Tc": 0.09})
     both = ("coulomb_friction", "constant_load_torque")
     assert by_direction(values, both) == pytest.approx({"Tc": 0.09, "TL": 0.09})
-    assert by_direction({**values, "B_neg": 1.5}, both) is None  # no load makes the viscous frictions differ
     assert effects_by_name()["load_torque_step"].as_simpler({"dTL": 0.3}, both) == {"TL": 0.3}
 
 
@@ -174,7 +173,7 @@ def test_without_a_current_dry_friction_and_what_is_late_are_always_fitted() -> 
     assert (proposed[2].start["mu"], proposed[2].other["mu"], proposed[2].far) == (0.2, 0.03, True)
     seen = (ScreenedCandidate("load_dependent_friction", 0.5, {"mu": 0.1}, 0.5, {}), *screened)
     assert [p.start.get("mu") for p in proposals(current, seen, missing)] == [0.1, None, None]
-    late = list(late_without_current(current))
+    late = list(late_signals(current))
     assert [(p.name, p.start.get("channel")) for p in late] == [
         ("measurement_delay", 1.0),
         ("measurement_delay", 2.0),
@@ -186,11 +185,15 @@ def test_without_a_current_dry_friction_and_what_is_late_are_always_fitted() -> 
     assert late[0].other["L"] == motor["L"]
     # A late sensor goes no further back than so many steps: the rest stays with L.
     problem.sample_period_s = 4e-4
-    (begun, *_) = late_without_current(current)
+    (begun, *_) = late_signals(current)
     assert begun.start["t_d"] == pytest.approx(6 * 4e-4)
     assert begun.start["L"] == pytest.approx(4e-3 - 6 * 4e-4)
     problem.channels = ("current_A", "position_rad")
-    assert list(late_without_current(current)) == []
+    # A current tells L/R: all begin a sample late, and L as it is.
+    late = list(late_signals(current))
+    assert [p.name for p in late] == ["measurement_delay", "measurement_delay", "drive_lag"]
+    assert {p.start.get("t_d", p.start.get("t_lag")) for p in late} == {4e-4}
+    assert {p.start["L"] for p in late} == {motor["L"]} and not any(p.far for p in late)
     assert [p.name for p in proposals(current, screened, missing)] == ["quadratic_drag"]
 
 

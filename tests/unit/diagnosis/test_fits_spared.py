@@ -10,10 +10,11 @@ from typing import Any, cast
 
 import pytest
 
-from servo_daemon.diagnosis.search import select
+from servo_daemon.diagnosis.search import unscreened as search
 from servo_daemon.diagnosis.search.fitting import is_smooth
 from servo_daemon.diagnosis.trial import full_data_fit
 from servo_daemon.diagnosis.trial.data import Data, begun
+from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits
 from servo_daemon.diagnosis.trial.trial import FIRST_ITERATIONS, MOST_SAMPLES, Trial, fit_trial
 from servo_daemon.diagnosis.verdict import adequacy
 from servo_daemon.identification.output_error import OutputErrorFit, Recording
@@ -95,60 +96,86 @@ def test_few_samples_are_all_the_first_ones() -> None:
     assert begun(recordings, MOST_SAMPLES) is recordings
 
 
+@pytest.mark.parametrize(
+    ("decided_white", "again_white", "fitted_with"),
+    [
+        (True, True, []),  # from where it was decided the whole is white at once
+        (True, False, [True]),
+        (False, False, [False]),
+    ],
+)
 def test_what_was_not_white_where_it_was_decided_is_fitted_in_free_runs_to_all(
-    data: Data, monkeypatch: pytest.MonkeyPatch
+    data: Data, monkeypatch: pytest.MonkeyPatch, decided_white: bool, again_white: bool, fitted_with: list[bool]
 ) -> None:
     asked: list[bool] = []
+    begun: list[object] = []
+    fit: Any = SimpleNamespace(white=again_white)
 
     def fitted(_data: Data, _trial: Trial, full_fits: object, _start: object) -> OutputErrorFit:
         asked.append(full_fits is not None)
+        return cast(OutputErrorFit, fit)
+
+    def published(_data: Data, _trial: Trial, found: object) -> OutputErrorFit:
+        assert found is fit
         raise LookupError
 
     monkeypatch.setattr(adequacy, "fit_full_data", fitted)
+    monkeypatch.setattr(adequacy, "_straight", published)
+    monkeypatch.setattr(FullDataFits, "of", lambda _self, _trial, values: begun.append(values) or fit)
     selection: Any = SimpleNamespace(data=data, chosen=SimpleNamespace(effects=()), rounds=())
-    for white in (True, False):
-        with pytest.raises(LookupError):
-            adequacy._published(selection, cast(Any, (SimpleNamespace(white=white), None)), cast(Any, None))
-    assert asked == [True, False]
+    decided: Any = SimpleNamespace(white=decided_white, values={"R": 2.0})
+    with pytest.raises(LookupError):
+        adequacy._published(selection, (decided, cast(Any, None)), cast(Any, None))
+    assert asked == fitted_with
+    assert begun == [decided.values] * decided_white
 
 
 @pytest.mark.parametrize("noise_is_left", [True, False])
 def test_everything_is_tried_unless_the_data_say_that_noise_is_left(
     monkeypatch: pytest.MonkeyPatch, noise_is_left: bool
 ) -> None:
-    for name in ("late_without_current", "open_at_zero"):
-        monkeypatch.setattr(select, name, lambda _: ())
+    for name in ("late_signals", "open_at_zero"):
+        monkeypatch.setattr(search, name, lambda _: ())
     little = SimpleNamespace(name="resistance_step")
-    monkeypatch.setattr(select, "_whatever", lambda *_, worth: (little,))
-    search = _searched(current=True, noise_is_left=noise_is_left)
-    assert select._thought_little_of(search, (), cast(Any, None), ()) == ([] if noise_is_left else [little])
+    monkeypatch.setattr(search, "whatever", lambda *_, worth: (little,))
+    asked = _asked(current=True, first=False, noise_is_left=noise_is_left)
+    assert search.unscreened(asked, (), (), not_asked) == ([] if noise_is_left else [little])
 
 
 @pytest.mark.parametrize(
-    ("current", "added", "beyond", "worth"),
+    ("current", "first", "beyond", "white", "worth", "late"),
     [
-        (False, (), True, -math.inf),
-        (False, (), False, 0.0),
-        (False, ("coulomb_friction",), True, 0.0),
-        (True, (), True, 0.0),
+        (False, True, True, False, -math.inf, True),
+        (False, True, False, False, 0.0, True),
+        (False, False, True, False, 0.0, True),
+        (True, True, True, False, 0.0, True),
+        (True, True, False, False, 0.0, False),
+        (True, True, True, True, 0.0, False),
     ],
 )
-def test_what_screening_saw_nothing_of_is_tried_without_a_current_and_beyond_the_noise(
-    monkeypatch: pytest.MonkeyPatch, current: bool, added: tuple[str, ...], beyond: bool, worth: float
+def test_what_screening_saw_nothing_of_is_tried_beyond_the_noise(
+    monkeypatch: pytest.MonkeyPatch, current: bool, first: bool, beyond: bool, white: bool, worth: float, late: bool
 ) -> None:
-    for name in ("late_without_current", "open_at_zero"):
-        monkeypatch.setattr(select, name, lambda _: ())
-    asked: list[float] = []
-    monkeypatch.setattr(select, "_whatever", lambda *_, worth: asked.append(worth) or ())  # type: ignore[func-returns-value]
-    monkeypatch.setattr(select, "errs_beyond_noise", lambda *_: beyond)
-    search = _searched(current=current, added=added)
-    assert select._thought_little_of(search, (), cast(Any, None), ()) == []
-    assert asked == [worth]
+    """Everything where no current is measured, what is late in any case."""
+    monkeypatch.setattr(search, "late_signals", lambda _: [SimpleNamespace(name="drive_lag")])
+    monkeypatch.setattr(search, "open_at_zero", lambda _: ())
+    worths: list[float] = []
+    monkeypatch.setattr(search, "whatever", lambda *_, worth: worths.append(worth) or ())  # type: ignore[func-returns-value]
+    monkeypatch.setattr(search, "errs_beyond_noise", lambda *_: beyond)
+    asked = _asked(current=current, first=first)
+    found = search.unscreened(asked, (), (), lambda *_: cast(Any, SimpleNamespace(white=white)))
+    assert [p.name for p in found] == ["drive_lag"] * late
+    assert worths == [worth]
 
 
-def _searched(*, current: bool, added: tuple[str, ...] = (), noise_is_left: bool = False) -> Any:
-    """A search whose free runs leave coloured errors."""
+def not_asked(*_: object) -> None:
+    """A fit that nobody needs."""
+    raise AssertionError
+
+
+def _asked(*, current: bool, first: bool, noise_is_left: bool = False) -> search.Asked:
+    """A model whose free runs leave coloured errors."""
     channels = ("current_A", "position_rad") if current else ("position_rad",)
     problem = SimpleNamespace(channels=channels, plant=SimpleNamespace(drive="voltage"))
-    trial = SimpleNamespace(independent=0.3, problem=problem)
-    return SimpleNamespace(current=trial, data=None, added=list(added), noise_is_left=noise_is_left)
+    trial: Any = SimpleNamespace(independent=0.3, problem=problem, values={})
+    return search.Asked(cast(Any, None), trial, cast(Any, None), first=first, noise_is_left=noise_is_left)

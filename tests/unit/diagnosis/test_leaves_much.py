@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import pytest
 
-from servo_daemon.diagnosis.verdict import adequacy
+from servo_daemon.diagnosis.verdict import remains
 
 
 @pytest.mark.parametrize(
@@ -22,9 +22,9 @@ from servo_daemon.diagnosis.verdict import adequacy
 def test_what_is_left_is_much_if_it_is_no_noise(
     monkeypatch: pytest.MonkeyPatch, left: float, explained: float, by_noise: bool, much: bool
 ) -> None:
-    monkeypatch.setattr(adequacy, "_left", lambda _: left)
-    monkeypatch.setattr(adequacy, "_explained", lambda *_: explained)
-    monkeypatch.setattr(adequacy, "errs_by_noise", lambda *_: by_noise)
+    monkeypatch.setattr(remains, "_left", lambda _: left)
+    monkeypatch.setattr(remains, "_explained", lambda *_: explained)
+    monkeypatch.setattr(remains, "errs_by_noise", lambda *_: by_noise)
     selection: Any = SimpleNamespace(data=None, chosen=None)
     nothing = cast(Any, None)
-    assert adequacy._leaves_much(selection, nothing, nothing, nothing) is much
+    assert remains.leaves_much(selection, nothing, nothing, nothing) is much

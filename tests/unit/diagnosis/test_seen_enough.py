@@ -79,7 +79,7 @@ def test_beside_another_no_effect_has_a_name_that_would_be_too_small_for_one_alo
     size: Any = SimpleNamespace(size={"torque": 0.3, "voltage": 3.0})
     monkeypatch.setattr(select, "seen_missing", lambda data, current: size)
     monkeypatch.setattr(select, "screen", lambda current, missing: ())
-    monkeypatch.setattr(select, "_whatever", lambda *_, **__: ())
+    monkeypatch.setattr(select, "whatever", lambda *_, **__: ())
     monkeypatch.setattr(select, "fitted", lambda *_: tuple(second))
     monkeypatch.setattr(select, "advantage", lambda simple, rich: convincing)
     data: Any = SimpleNamespace(fixed={})
