@@ -26,7 +26,7 @@ from servo_daemon.kalman.layout import CLIP, MEASURABLE, SPIKE, STATISTICS, EkfL
 #: Standard deviations at which an innovation is weighted down: 1 in 1.7 million for a Gaussian (decision 9).
 GATE = 5.0
 #: Where the input is known this many times worse than usual (in variance), as after a missing sample, the innovations
-#: are no sample of the usual noise (chosen; not tried).
+#: are no sample of the usual noise (chosen; half and twice move no tracking figure).
 UNUSUAL_INPUT = 30.0
 
 

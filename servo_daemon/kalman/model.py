@@ -31,9 +31,10 @@ SHORTEST_STEP_S = 1e-9
 #: what a wrong model needs to run away; and at once, where the parameters are not known yet and the model would lead
 #: it astray (decision 13).
 INSTRUMENT_S, NO_INSTRUMENT_S = 0.1, 1e-9
-#: An input known this many times worse than usual (in variance) leads it astray (chosen; not tried).
+#: An input known this many times worse than usual (in variance) leads it astray (chosen; half and twice move no
+#: tracking figure).
 DOUBTFUL_INPUT = 100.0
-#: Its time constant is at most this share of its age (chosen; not tried).
+#: Its time constant is at most this share of its age (chosen; half and twice move no tracking figure).
 _YOUTH = 0.1
 #: After so many samples a filter that knew nothing of the speed has found it. Until then derivatives by the parameters
 #: are of another motion, and what the speed does to the current would pass for L (decision 18).

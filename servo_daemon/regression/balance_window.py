@@ -28,16 +28,20 @@ from servo_daemon.regression.rls_fit import CHANCE_STDS, OVERLAP
 from servo_daemon.regression.sampling import WINDOW_S, Sampling, between_samples, blind_std, of_standing_counts
 from servo_daemon.samples import F64
 
-#: Share of the window's rows whose residuals with the filter's values must be known (chosen; not tried).
+#: Share of the window's rows whose residuals with the filter's values must be known (chosen; half and twice move no
+#: tracking figure).
 _COVERED = 0.8
-#: The first rows, s, are less exact: what the current does between two samples was not known yet (chosen; not tried).
+#: The first rows, s, are less exact: what the current does between two samples was not known yet (chosen; free within
+#: half and twice).
 _RECENT_S = 1.5
-#: Rows for each column from which on what a fit leaves says how large the noise is (chosen; not tried).
+#: Rows for each column from which on what a fit leaves says how large the noise is (chosen; free within half and
+#: twice).
 _ROWS_PER_COLUMN = 6
-#: The margin for the angle's noise (`balances`) allows for so many samples on one count (chosen; not tried).
+#: The margin for the angle's noise (`balances`) allows for so many samples on one count (chosen; half and twice move no
+#: tracking figure).
 _COUNTS_IN_MARGIN = 4.0
 #: What the current does between samples, as a share of what a balance leaves: beyond, no noise can be told from it
-#: (chosen; not tried).
+#: (chosen; half and twice move no tracking figure).
 _HIDES = 0.5
 
 

@@ -19,15 +19,15 @@ from servo_daemon.regression import rls_fit
 from servo_daemon.samples import F64
 
 #: Share of a balance by which filtering and interpolation may be wrong: beside the model's (`rls_fit.SYSTEMATIC`) this
-#: is in the standard deviation (chosen; not tried).
+#: is in the standard deviation (chosen; half and twice move no tracking figure).
 _METHOD_ERROR = 2e-4
 #: Rows of `covariances`.
 ROBUST, WHITE, SYSTEMATIC = range(3)
 _SIGMA, _SYSTEMATIC = 2.0, 0.4
 #: Singular values of the scaled regressors below this part of the largest: a direction that the data do not contain
-#: (chosen; not tried).
+#: (chosen; half and twice move no tracking figure).
 _NULL = 1e-7
-#: In such a direction a coefficient takes part from this weight on (chosen; not tried).
+#: In such a direction a coefficient takes part from this weight on (chosen; half and twice move no tracking figure).
 _TAKES_PART = 1e-3
 
 

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from servo_daemon.numerics import median
 from servo_daemon.samples import F64
 
-#: So many rows' residuals are remembered; below the second number nothing is left out (chosen; not tried).
+#: So many rows' residuals are remembered; below the second number nothing is left out (chosen; free within half and
+#: twice, the second moves no tracking figure).
 _ROWS, _FEWEST = 200, 30
-#: Far off: beyond so many median residuals, and this share (rms) of the balance (chosen; not tried).
+#: Far off: beyond so many median residuals, and this share (rms) of the balance (chosen; free within half and twice).
 _MEDIANS, _SHARE = 12.0, 0.02
-#: Most rows that may be far off (chosen; not tried).
+#: Most rows that may be far off (chosen; half and twice move no tracking figure).
 _MOST_SPOILT = 0.1
 
 

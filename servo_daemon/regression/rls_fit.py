@@ -14,13 +14,13 @@ from servo_daemon.samples import F64
 #: (decision 14).
 SYSTEMATIC = 1e-3
 #: A balance that closes to this share (rms) closes: its parameters change while it is summed up, and integrals over
-#: samples are no more exact (chosen; not tried).
+#: samples are no more exact (chosen; free within half and twice).
 CLOSES = 0.01
 #: Windows of the modulating functions overlap by half, so neighbouring rows share half their noise: covariances are
 #: that much too small.
 OVERLAP = 2.0
 #: Noise is compensated only while it is a smaller part of every regressor than the second, and a larger part of one
-#: than the first: what is less moves nothing (chosen; not tried).
+#: than the first: what is less moves nothing (chosen; half and twice move no tracking figure).
 _LEAST_NOISE, _MOST_NOISE = 1e-12, 0.3
 #: A column this much smaller than the largest is zero: no units of motors differ by as much.
 _INVISIBLE = 1e-12
@@ -30,7 +30,7 @@ _LEAST_SHARE = 1e-9
 #: The same once noise is taken away: with less of a direction left the noise was all there was (free within 1e-10 ..
 #: 1e-6, tried on nine runs of the simulated servo).
 LEAST_SIGNAL = 1e-8
-#: Fewest rows for each coefficient (chosen; not tried).
+#: Fewest rows for each coefficient (chosen; free within half and twice).
 _ROWS_PER_COEFFICIENT = 2.0
 #: A sum of squares is larger than expected, and a window excluded, beyond so many standard deviations of what chance
 #: makes of it (a Gaussian is beyond four once in 16,000 times).

@@ -14,7 +14,8 @@ from servo_daemon.tracking.plan.parameter_masks import ParameterMasks
 from servo_daemon.tracking.plan.settings import Message
 from servo_daemon.tracking.plan.signals import EFFECT_OF
 
-#: A current that shows one value for so long, s, is told of (five ticks; chosen; not tried).
+#: A current that shows one value for so long, s, is told of (five ticks; chosen; half and twice move no tracking
+#: figure).
 _FROZEN_S = 0.5
 #: An offset that the user's model does not hold is told of beyond this share of its scale; hysteresis (see `make
 #: calibrate`).

@@ -34,7 +34,8 @@ from servo_daemon.tracking.validity.gates import Qualification
 
 #: A saved state may be of yesterday's temperature and load: added 1 σ (copper: 8 K at 0.39 %/K).
 _SAVED_STD = 0.03
-#: From then on a filter that took over from another may speak for the drive (a second; chosen; not tried).
+#: From then on a filter that took over from another may speak for the drive (a second; chosen; half and twice move no
+#: tracking figure).
 _TICKS_TO_SETTLE = 10
 
 

@@ -22,7 +22,7 @@ from servo_daemon.tracking.tracker import Tracker
 _BIAS_STD: Mapping[str, float] = {"R": 0.10, "L": 0.14, "K": 0.05, "J": 0.14, "B": 0.14}
 _BIAS_OTHER_STD = 0.14
 #: A fitted value may be a minute old and its model not quite right: at least so much, 1 σ; without a std so much
-#: (chosen; not tried).
+#: (chosen; half and twice move no tracking figure).
 _LEAST_STD, _UNTOLD_STD = 0.01, 0.30
 
 

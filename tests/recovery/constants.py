@@ -33,6 +33,8 @@ PACKAGES = ("servo_daemon.regression", "servo_daemon.tracking", "servo_daemon.ka
 FACTORS = (0.5, 2.0)
 #: Numbers of the starts, s of each; each fifth run of the witness' motors, motions and seeds.
 _STARTS, _START_S, _EVERY = range(3000, 3020), 20.0, 5
+#: Factors that are applied at each tick or sample are no smaller.
+_NEARLY_ONE = 0.95
 #: So much worse is worse.
 _ERRORS, _DELIVERED = 1.05, 0.98
 
@@ -62,10 +64,13 @@ def says_not_tried(constant: str) -> bool:
 
 
 def scaled(value: Any, factor: float) -> Any:
-    """A number or each of a tuple; whole numbers stay whole and at least one."""
+    """A number or each of a tuple; whole numbers stay whole and at least one. Of what is little less than one, as a
+    factor that is applied again and again, the difference to one is scaled."""
     if isinstance(value, tuple):
         return tuple(scaled(v, factor) for v in value)
-    return max(1, round(value * factor)) if isinstance(value, int) else value * factor
+    if isinstance(value, int):
+        return max(1, round(value * factor))
+    return 1.0 - factor * (1.0 - value) if _NEARLY_ONE <= value < 1.0 else value * factor
 
 
 def figures() -> dict[str, float]:

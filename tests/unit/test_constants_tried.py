@@ -28,6 +28,10 @@ def test_whole_numbers_stay_whole_and_at_least_one() -> None:
     assert tool.scaled((5, 1, 0.3), 0.5) == (2, 1, 0.15)
 
 
+def test_of_what_is_nearly_one_the_difference_is_scaled() -> None:
+    assert tool.scaled(0.98, 2.0) == pytest.approx(0.96)
+
+
 @pytest.mark.parametrize(
     ("name", "same", "bad"),
     [

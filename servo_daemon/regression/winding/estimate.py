@@ -20,7 +20,7 @@ NAMES = WINDING_NAMES
 _RATE = NAMES.index("L")
 #: Windows that are tried, s; beyond, what the shaft does between their ends is averaged away.
 WINDOWS_S = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-#: Fewest rows for each column (chosen; not tried).
+#: Fewest rows for each column (chosen; half and twice move no tracking figure).
 _ROWS_PER_COLUMN = 8
 #: A bound that holds in the worst case, as 1 σ of what is equally likely anywhere below it.
 _UNIFORM = 1.0 / np.sqrt(3.0)
@@ -29,13 +29,13 @@ _UNIFORM = 1.0 / np.sqrt(3.0)
 #: samples do not follow the current it is no better than that.
 _FINER = 1.0 / 12.0
 #: A parameter is determined below this share of itself, 1 σ; stricter than `regression.estimate.KNOWS`, for here no
-#: filter stands beside it (chosen; not tried).
+#: filter stands beside it (chosen; half and twice move no tracking figure).
 _KNOWN = 0.2
 #: What else may be in the balance: a drive's dead time is a voltage against the current's direction, a sensor's zero a
 #: constant. Either biases R and K where the model has none; it is seen beyond so many standard deviations.
 _EXTRAS = {"Vb": "a voltage against the current's direction", "v0": "a constant voltage"}
 _SEEN = 3.0
-#: Samples within L/R that follow the current (chosen; not tried).
+#: Samples within L/R that follow the current (chosen; half and twice move no tracking figure).
 _FOLLOWED = 4.0
 
 

@@ -37,15 +37,16 @@ _TORQUE_SHARE = 2e-3
 #: `make calibrate`).
 _NIS_HIGH, _CORRELATED = 1.3, 0.15
 #: By how much a tick: up a hundredfold within a second (1.6¹⁰ = 110; decision 12; with 3.2 a start moves by 1 σ), down
-#: again within 15 s (0.97¹⁵⁴ = 1/110; chosen, not tried); and the most (half and twice: nothing moves).
+#: again within 15 s (0.97¹⁵⁴ = 1/110; free: 0.985 and 0.94 move no tracking figure); and the most (half and twice:
+#: nothing moves).
 _RISE, _FALL, FACTOR_MOST = 1.6, 0.97, 1e8
 #: Innovations smaller than this say that the noise is too large already: then it recedes per tick by this (half and
 #: twice of each tried on three starts: 0.8 σ at most).
 NIS_LOW, _RECEDE = 0.7, 0.05
-#: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen (chosen; not
-#: tried).
+#: Steering per tick: by how much per unit of correlation, and what it keeps where nothing is to be seen (chosen; free
+#: within half and twice, of the second what is missing to one).
 _STEER, _LEAK = 0.15, 0.998
-#: Whiteness is that of so long a time, s (chosen; not tried).
+#: Whiteness is that of so long a time, s (chosen; half and twice move no tracking figure).
 _MEMORY_S = 10.0
 
 

@@ -24,10 +24,10 @@ import numpy as np
 
 from servo_daemon.samples import F64
 
-#: Averaging length of the changes, ticks (chosen; not tried).
+#: Averaging length of the changes, ticks (chosen; half and twice move no tracking figure).
 _TICKS = 50.0
 #: The changes are those within the winding's time; they are averaged anew once it is another by this factor (chosen;
-#: not tried).
+#: free within half and twice).
 _OTHER_LAG = 1.5
 #: Beyond this, L is not known at all (a factor of twenty, e³).
 _MOST_STD = 3.0

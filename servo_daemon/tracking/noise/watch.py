@@ -10,10 +10,10 @@ from servo_daemon.kalman.records import ChannelStatistics, NoiseLevels
 from servo_daemon.tracking.noise import levels as noise
 from servo_daemon.tracking.noise.levels import ChannelNoise, ProcessNoise, Whiteness
 
-#: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s,
-#: and weighted up (without it `test_follows_linear_ageing_with_honest_intervals` fails); more so where the winding has
+#: The correlation of the current's innovations with the motion's a sample later is small: averaged over so long, s, and
+#: weighted up (without it `test_follows_linear_ageing_with_honest_intervals` fails); more so where the winding has
 #: settled between two samples and nothing else tells the two noises apart (without it
-#: `test_the_winding_is_right_where_the_shaft_s_balance_does_not_close` fails). Chosen; not tried.
+#: `test_the_winding_is_right_where_the_shaft_s_balance_does_not_close` fails). Chosen; free within half and twice.
 _CROSS_MEMORY_S, _CROSS_WEIGHT, _CROSS_WEIGHT_SETTLED = 10.0, 4.0, 10.0
 #: Of a sensor's noise that is known from elsewhere at least this much stays, however small the innovations are beside
 #: what a filter that has just started expects of them (free within a half and twice: tests/recovery/constants.py).

@@ -35,8 +35,8 @@ WIDEST_STD = 0.2
 #: A pass along the instrumental trajectory fits as well as one without it, if its cost is no larger than by this; by
 #: the second where one has been no better before (free within 10 .. 40 and 1.5 .. 6).
 _AS_GOOD, _TRIED = 20.0, 3.0
-#: Values that a pass moves by less than this are good enough for the instrumental trajectory to follow (chosen; not
-#: tried).
+#: Values that a pass moves by less than this are good enough for the instrumental trajectory to follow (chosen; half
+#: and twice move no tracking figure).
 _FOLLOWS_SHARE = 0.05
 #: The search for the likeliest variances: first step and accuracy of their logarithms, of −2 log p, and passes
 #: (decision 34; `test_noises_that_are_off_by_a_factor_of_thirty_are_found` fails with one pass fewer).

@@ -42,7 +42,7 @@ _TICKS = (100, 155)
 #: A search that has not settled after so many iterations is given up (free within 8 .. 30).
 _MOST_ITERATIONS = 15
 #: Steps of the differences: of one unit of a coordinate, of a variance's logarithm (far above rounding, far below what
-#: is looked for; chosen; not tried).
+#: is looked for; chosen; half and twice move no tracking figure).
 _DIFFERENCE, _NOISE_DIFFERENCE = 1e-4, 0.05
 #: An iteration moves no coordinate by more units than this, no variance's logarithm by more than that (free within
 #: 0.25 .. 1 and 0.5 .. 2).
@@ -51,7 +51,7 @@ _LONGEST, _LONGEST_NOISE = 0.5, 1.0
 #: beginning it may become, logarithm (free within 0.5 .. 2 and −4 .. −16).
 _DAMPING, _LEAST_NOISE = 1.0, -8.0
 #: The last step, in standard deviations (the root of gᵀH⁻¹g over the parameters); samples are added meanwhile (chosen;
-#: not tried).
+#: half and twice move no tracking figure).
 _SETTLED = 0.3
 #: The innovations then: lag-1 correlation at most, and mean of ν²/s around one (see `make calibrate`).
 _WHITE, _AS_EXPECTED = 0.1, 0.15

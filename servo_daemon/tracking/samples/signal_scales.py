@@ -15,14 +15,14 @@ from servo_daemon.regression.stretch import Stretch
 from servo_daemon.samples import F64
 from servo_daemon.tracking.samples.spikes import without_spikes
 
-#: A level falls by this factor a tick when the signal does, but not at rest: that is no smaller motor (half within 7
-#: s; chosen; not tried).
+#: A level falls by this factor a tick when the signal does, but not at rest: that is no smaller motor (half within 7 s;
+#: chosen; free: half within 3.5 to 14 s).
 _FALL = 0.99
 #: A current whose variance within a tick is no larger than so many times its sensor's shows nothing but that; without a
 #: current, a voltage that moves by no more than this share of what is usual (decision 17).
 _REST_VARIANCES, _REST_SHARE = 4.0, 1e-2
-#: An encoder at rest flickers between two counts; one that creeps shows a new one in every so many samples at most,
-#: and its steps are no white noise (chosen; not tried).
+#: An encoder at rest flickers between two counts; one that creeps shows a new one in every so many samples at most, and
+#: its steps are no white noise (chosen; half and twice move no tracking figure).
 _REST_COUNTS, _CREEP_SAMPLES = 1.5, 20.0
 #: Fewer of a tick's changes of the input are wrong ones (two for a sample); a spike is so many times the largest of the
 #: others (decision 11).

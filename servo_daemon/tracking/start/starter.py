@@ -22,7 +22,7 @@ from servo_daemon.tracking.start.starting_point import starting_point, well_know
 #: The filter starts no sooner than this after the first sample, s, and waits no longer than that for the regression
 #: (decision 32).
 _EARLIEST_S, LATEST_S = 1.0, 3.0
-#: With a saved state there is only the noise to wait for, s (chosen; not tried).
+#: With a saved state there is only the noise to wait for, s (chosen; half and twice move no tracking figure).
 _EARLIEST_SAVED_S = 0.2
 #: Ticks kept while there is nothing to start from (two seconds; free within a half and twice:
 #: tests/recovery/constants.py).

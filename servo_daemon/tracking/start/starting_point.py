@@ -18,7 +18,8 @@ _INFLATION = 3.0
 #: The regression may start the filter at once when it knows every free parameter this well (1 σ, relative, inflated:
 #: 5 % by its own word, decision 32).
 GOOD_STD = 0.15
-#: Beyond this relative std a logarithm of the regression's value means little (chosen; not tried).
+#: Beyond this relative std a logarithm of the regression's value means little (chosen; half and twice move no tracking
+#: figure).
 USABLE_STD = 0.5
 #: A nominal value is a datasheet's, or a motor that has aged: 1 σ of its logarithm, a factor of two.
 _NOMINAL_STD = 0.7

@@ -15,8 +15,8 @@ from servo_daemon.tracking.validity.cross_check import RegressionCrossCheck
 from servo_daemon.tracking.validity.fusion import agrees, confirms
 from servo_daemon.tracking.validity.tick import Tick
 
-#: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge (chosen; not
-#: tried).
+#: A regression that may be off by as much (1 σ, relative) because of the sampling alone is no judge (chosen; half and
+#: twice move no tracking figure).
 _BLIND = 0.1
 
 

@@ -22,14 +22,14 @@ from servo_daemon.regression.sampling import WINDOW_S
 from servo_daemon.samples import F64
 
 #: 1 σ, relative, of what the last seconds alone would determine: excited from the first on, and until the second
-#: (decision 14; the values are chosen, not tried).
+#: (decision 14; the values are chosen; free within half and twice).
 ENTER, LEAVE = 0.10, 0.20
-#: The same for the systematic measure, which is a worst case (chosen; not tried).
+#: The same for the systematic measure, which is a worst case (chosen; free within half and twice).
 SYSTEMATIC_ENTER, SYSTEMATIC_LEAVE = 0.20, 0.40
 #: A window that says nothing leaves this much, 1 σ: nothing is worse known than by a factor of about 1000 (ln 1000).
 _NOTHING_STD = 7.0
-#: The running sum over the window is taken anew after so many ticks (rounding does not add up for longer; chosen; not
-#: tried).
+#: The running sum over the window is taken anew after so many ticks (rounding does not add up for longer; chosen; half
+#: and twice move no tracking figure).
 _SUM_ANEW = 100
 #: Share of a parameter in the directions that are not determined, above which it is one of them (free within a half and
 #: twice: tests/recovery/constants.py).

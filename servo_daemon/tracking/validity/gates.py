@@ -17,7 +17,7 @@ from servo_daemon.tracking.plan.parameter_masks import Mask, ParameterMasks
 #: A parameter qualifies below this (1 σ, relative) and loses its qualification above the second: hysteresis (see `make
 #: calibrate`).
 QUALIFIED, LOST = 0.05, 0.15
-#: Errors of two parameters go together from this correlation on (chosen; not tried).
+#: Errors of two parameters go together from this correlation on (chosen; half and twice move no tracking figure).
 _ONE_LINE = 0.8
 
 

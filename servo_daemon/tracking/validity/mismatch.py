@@ -23,10 +23,10 @@ from servo_daemon.tracking.validity.last_known import LastKnown
 from servo_daemon.tracking.validity.tick import Tick
 
 #: Of a motor whose model lacks something nothing is known better, 1 σ of a logarithm: no balance over samples that
-#: could contradict the filter is more exact (chosen; not tried).
+#: could contradict the filter is more exact (chosen; half and twice move no tracking figure).
 _DISCREPANCY_STD = 0.01
 #: What no balance over samples sees (a spring, a delay) is known no better than this, 1 σ of a logarithm: the filter
-#: alone takes what its model is off by for information (chosen; not tried).
+#: alone takes what its model is off by for information (chosen; half and twice move no tracking figure).
 _ALONE_STD = 0.01
 #: Parameters that the balances judge by name (`BalanceWindow.mean_errors`).
 _JUDGED = (*WINDING_NAMES, "J", "B", "Tc")

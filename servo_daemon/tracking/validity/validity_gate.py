@@ -27,7 +27,8 @@ _IDLE_STD = 0.3
 #: factor one of them may be as much longer as the other is shorter (with 4.0 and 4.6 ms all of R .. B were up to 26 %
 #: off).
 _ALIKE = 2.0
-#: Parameters that are known worse than this would let the instrumental trajectory diverge (chosen; not tried).
+#: Parameters that are known worse than this would let the instrumental trajectory diverge (chosen; half and twice move
+#: no tracking figure).
 _LED_ASTRAY_STD = 0.25
 
 
