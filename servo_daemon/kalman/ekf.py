@@ -20,7 +20,7 @@ from servo_daemon.plant.effects.base import LATE
 from servo_daemon.samples import F64
 
 #: Standard deviations of the plant's states when nothing is known of them: current A, speed rad/s, angle rad (vague
-#: beside what the first samples say; chosen, not tried).
+#: beside what the first samples say; chosen; free within half and twice).
 _UNKNOWN_STATE_STD = {"current_A": 100.0, "velocity_rad_s": 1000.0, "position_rad": 100.0}
 
 #: Variance of a parameter the filter must not move.

@@ -13,8 +13,8 @@ TICK_S = 0.1
 Message = tuple[str, str, Mapping[str, float | int | str | None]]
 
 #: Random walk of a parameter's coordinate when the user says nothing, 1 σ after a minute: copper follows the load,
-#: magnets and bearings take their time, inertia changes with what is mounted (chosen; not tried, and `drift` of the
-#: configuration says what holds for a drive).
+#: magnets and bearings take their time, inertia changes with what is mounted (chosen; with twice as much the filter
+#: errs no more, with half by 1.5 times as much; `drift` of the configuration says what holds for a drive).
 _DRIFT_PER_SQRT_MIN = {"R": 0.03, "L": 0.006, "K": 0.01, "J": 0.015, "B": 0.03}
 _DRIFT_OTHER_PER_SQRT_MIN = 0.02
 #: An offset of a sensor or a hanging cable moves slowly, over its scale (decision 16).
