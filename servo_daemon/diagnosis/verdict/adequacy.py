@@ -259,8 +259,8 @@ def _without_the_unneeded(selection: Selection, extended: OutputErrorFit, full_f
     """
     if not extended.white:
         return None
-    known = effects_by_name()
-    for name, instead in ((a, other) for a in selection.added for other in ((), *known[a].simpler)):
+    richer = ((name, instead) for name in selection.added for instead in effects_by_name()[name].simpler)
+    for name, instead in (*((name, ()) for name in selection.added), *richer):
         others = tuple(o for a in selection.added for o in (instead if a == name else (a,)))
         data, chosen = selection.data, selection.chosen
         without = without_effect(data, chosen, name, instead=instead) if others else selection.base

@@ -232,15 +232,14 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
         if decrement >= _ASKED:
             better, damping = _downhill(problem, (point, whitened), a, damping)
         elif decrement >= _DECREMENT:
-            better = _moved_by(problem, (point, whitened), share * step, a)
+            better = _moved_by(problem, point, share * step)
         if better is not None:
-            point, whitened = better
+            point = better
         elif settled:
             break
-        if decrement > _DECREMENT or not settled:
-            before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
-            settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
-            whitened, _ = whiten_point(problem, point, a)
+        before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
+        settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
+        whitened, _ = whiten_point(problem, point, a)
     return _End(point, whitened, a, _step(problem, whitened, held=event_times_of(problem))[1])
 
 
@@ -284,29 +283,24 @@ def _likelihood(problem: Problem, point: Point, limits: tuple[F64, F64]) -> Nois
     )
 
 
-def _downhill(
-    problem: Problem, here: tuple[Point, Point], a: F64, damping: float
-) -> tuple[tuple[Point, Point] | None, float]:
-    """A damped step that is better than this place, and the damping of the next; None: none is, up to the largest.
-    Damping follows a valley that is curved, which a step that is only made shorter leaves to the side."""
-    _, whitened = here
+def _downhill(problem: Problem, here: tuple[Point, Point], a: F64, damping: float) -> tuple[Point | None, float]:
+    """After a damped step that is better than this place, and the damping of the next; None: none is, up to the
+    largest. Damping follows a valley that is curved, which a step that is only made shorter leaves to the side."""
+    point, whitened = here
     for tried in range(_TRIALS):
         step, _ = _step(problem, whitened, damping=damping)
-        trial = _moved_by(problem, here, step, a)
-        if trial is not None and trial[1].value < whitened.value:
+        trial = _moved_by(problem, point, step)
+        if trial is not None and whitened_value(problem, trial, a) < whitened.value:
             return trial, damping if tried else damping / _DAMPED
         damping = max(damping * _DAMPED, _LEAST_DAMPING)
     return None, damping
 
 
-def _moved_by(problem: Problem, here: tuple[Point, Point], step: F64, a: F64) -> tuple[Point, Point] | None:
+def _moved_by(problem: Problem, point: Point, step: F64) -> Point | None:
     """The point after a step; None: it cannot be simulated."""
     grown = np.log1p(np.maximum(step, 0.0))
     step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, np.maximum(grown, _LONGEST)), step)
-    unknowns = within(problem, here[0].unknowns + step)
+    unknowns = within(problem, point.unknowns + step)
     with np.errstate(over="ignore", invalid="ignore"):
         linear = linearise(problem, unknowns)
-    if not linear.finite:
-        return None
-    trial = point_of(problem, unknowns, linear, here[0].weights)
-    return trial, whiten_point(problem, trial, a)[0]
+    return point_of(problem, unknowns, linear, point.weights) if linear.finite else None
