@@ -14,12 +14,11 @@ Identification*, 2nd ed. 1999, sec. 8.4; Jategaonkar, *Flight Vehicle System Ide
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from servo_daemon.identification.output_error.noise.noise import (
     INPUT_NOISE,
@@ -35,9 +34,17 @@ from servo_daemon.identification.output_error.noise.whitening import channel_wei
 from servo_daemon.identification.output_error.problem.event_times import event_times_of, profile
 from servo_daemon.identification.output_error.problem.linearisation import linearise
 from servo_daemon.identification.output_error.problem.problem import Problem
+from servo_daemon.identification.output_error.refinement_step import (
+    FAINT,
+    downhill,
+    held_at_bounds,
+    limited,
+    moved_by,
+    newton_step,
+    shortened,
+)
 from servo_daemon.identification.output_error.solver.solver import (
     Point,
-    in_units_of_each,
     normal_equations,
     point_of,
     within,
@@ -45,21 +52,14 @@ from servo_daemon.identification.output_error.solver.solver import (
 from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value
 from servo_daemon.samples import F64
 
-#: Most steps, and most trials of one.
-_STEPS, _TRIALS = 30, 8
-#: Least damping, and by how much it grows and falls.
-_LEAST_DAMPING, _DAMPED = 1e-5, 10.0
+#: Most steps.
+_STEPS = 30
 #: A step that promises less than this, a standard deviation, is taken unasked: what the filter's own change with the
 #: parameters does to the likelihood is left out of the equations and may be as large.
 _ASKED = 1.0
 #: A step left over that is not smaller than this share of the last one has gone too far: the next are halved, and at
 #: the least share of a step nothing will move any more.
 _PROGRESS, _LEAST_SHARE = 0.8, 1 / 256
-#: Directions of which the data know less than this (1/σ², σ of three e-folds) stay: a friction near zero.
-_FAINT = 0.1
-#: No logarithm moves by more in one step, unless it grows from next to nothing: there the model is linear in the
-#: parameter itself, and the step is taken in that (an L that a free run has left at a thousandth of itself).
-_LONGEST = 0.5
 #: Settled when the step left over is this many standard deviations, squared, and no variance changes by a larger share;
 #: close enough where it comes no nearer.
 _DECREMENT, _SAME, _CLOSE = 1e-4, 0.01, 0.01
@@ -144,7 +144,7 @@ def with_lost_seen(problem: Problem, point: Point, log_variance: F64) -> Point |
     are known by. None: there are none."""
     whitened, _ = whiten_point(problem, point, log_variance)
     known = np.diag(normal_equations(problem, whitened)[0])
-    lost = problem.logarithmic & (known > 0.0) & (known < _FAINT)
+    lost = problem.logarithmic & (known > 0.0) & (known < FAINT)
     if not lost.any():
         return None
     unknowns = point.unknowns.copy()
@@ -214,25 +214,30 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
     """Steps of the parameters and of the noise in turn, until neither moves or none is better; None if they do not come
     below the value.
 
-    In turn, because the noise as seen from a poor estimate leads astray where the data say little.
+    In turn, because the noise as seen from a poor estimate leads astray where the data say little. Without a current
+    steps are shortened instead of damped: noise of the input is not told from a torque there, and a search that follows
+    a valley far enough finds noise that passes for a load which the model lacks.
     """
     settled, share, last, damping = False, 1.0, np.inf, 0.0
+    damped = "current_A" in problem.channels
     whitened, _ = whiten_point(problem, point, a)
     for steps in range(_STEPS):
-        step, decrement = _step(problem, whitened)
+        step, decrement = newton_step(problem, whitened)
         if steps > 0 and whitened.value - _REACH * decrement > below:
             return None
-        to_and_fro = decrement < _ASKED and decrement > _PROGRESS * last
+        to_and_fro = decrement > _PROGRESS * last and (decrement < _ASKED or not damped)
         share, last = (share / 2 if to_and_fro else share), decrement
         if share < _LEAST_SHARE:
             break
         if decrement < _DECREMENT and settled:
             break
         better = None
-        if decrement >= _ASKED:
-            better, damping = _downhill(problem, (point, whitened), a, damping)
+        if decrement >= _ASKED and damped:
+            better, damping = downhill(problem, (point, whitened), a, damping)
+        elif decrement >= _ASKED:
+            better = shortened(problem, (point, whitened), a, share * step)
         elif decrement >= _DECREMENT:
-            better = _moved_by(problem, point, share * step)
+            better = moved_by(problem, point, limited(problem, share * step))
         if better is not None:
             point = better
         elif settled:
@@ -240,37 +245,12 @@ def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], bel
         before, (a, _) = a, _likelihood(problem, point, limits).refine(a)
         settled = bool(np.allclose(np.exp(a), np.exp(before), rtol=_SAME, atol=0.0))
         whitened, _ = whiten_point(problem, point, a)
-    return _End(point, whitened, a, _step(problem, whitened, held=event_times_of(problem))[1])
-
-
-def _step(problem: Problem, whitened: Point, held: Sequence[int] = (), damping: float = 0.0) -> tuple[F64, float]:
-    """The Gauss–Newton step and what it promises, in units of −2 log p.
-
-    Args:
-        damping: of each unknown, as a share of what the data know of it (Marquardt 1963).
-        held: columns that stay. What the slope by an event time promises ends at the next sample (`event_times`): no
-            search waits for it to be kept.
-    """
-    H, g = normal_equations(problem, whitened)
-    H = H + np.diag(np.where(problem.logarithmic, _FAINT, 0.0))
-    free = ~_held(problem, whitened.unknowns, g) & (np.diag(H) > 0)
-    free[list(held)] = False
-    A, size = in_units_of_each(H[np.ix_(free, free)])
-    A += damping * np.eye(len(A))
-    step = np.zeros(len(g))
-    step[free] = np.linalg.solve(A, g[free] / size) / size
-    return step, float(g @ step)
-
-
-def _held(problem: Problem, unknowns: F64, g: F64) -> NDArray[np.bool_]:
-    """Unknowns at a bound that would go beyond it."""
-    low, high = problem.bounds_at(unknowns)
-    return np.asarray((unknowns <= low) & (g < 0) | (unknowns >= high) & (g > 0))
+    return _End(point, whitened, a, newton_step(problem, whitened, held=event_times_of(problem))[1])
 
 
 def _at_bound(problem: Problem, whitened: Point) -> frozenset[int]:
     _, g = normal_equations(problem, whitened)
-    held = np.flatnonzero(_held(problem, whitened.unknowns, g))
+    held = np.flatnonzero(held_at_bounds(problem, whitened.unknowns, g))
     return frozenset(int(k) for k in held if k < len(problem.parameter_of_column))
 
 
@@ -281,26 +261,3 @@ def _likelihood(problem: Problem, point: Point, limits: tuple[F64, F64]) -> Nois
         point.linearisation.residuals,
         limits,
     )
-
-
-def _downhill(problem: Problem, here: tuple[Point, Point], a: F64, damping: float) -> tuple[Point | None, float]:
-    """After a damped step that is better than this place, and the damping of the next; None: none is, up to the
-    largest. Damping follows a valley that is curved, which a step that is only made shorter leaves to the side."""
-    point, whitened = here
-    for tried in range(_TRIALS):
-        step, _ = _step(problem, whitened, damping=damping)
-        trial = _moved_by(problem, point, step)
-        if trial is not None and whitened_value(problem, trial, a) < whitened.value:
-            return trial, damping if tried else damping / _DAMPED
-        damping = max(damping * _DAMPED, _LEAST_DAMPING)
-    return None, damping
-
-
-def _moved_by(problem: Problem, point: Point, step: F64) -> Point | None:
-    """The point after a step; None: it cannot be simulated."""
-    grown = np.log1p(np.maximum(step, 0.0))
-    step = np.where(problem.logarithmic, np.clip(step, -_LONGEST, np.maximum(grown, _LONGEST)), step)
-    unknowns = within(problem, point.unknowns + step)
-    with np.errstate(over="ignore", invalid="ignore"):
-        linear = linearise(problem, unknowns)
-    return point_of(problem, unknowns, linear, point.weights) if linear.finite else None
