@@ -19,7 +19,7 @@ from servo_daemon.identification.output_error import OutputErrorFit
 #: white and what else is missing make as much (chosen; not tried).
 _ALIKE = 0.01
 #: Where both are white their deviances tell: a difference of 3 σ, squared.
-_BY_CHANCE = 9.0
+BY_CHANCE = 9.0
 
 
 def equivalent_lags(values: Mapping[str, float]) -> dict[str, float] | None:
@@ -45,7 +45,7 @@ def told_from_equivalent(
     if (fit.deviance is None) != (other.deviance is None):
         return other if fit.deviance is None else fit  # that for which noise of voltage and sensors was found
     if fit.deviance is not None and other.deviance is not None:
-        difference, alike = other.deviance - fit.deviance, _BY_CHANCE
+        difference, alike = other.deviance - fit.deviance, BY_CHANCE
     else:
         difference, alike = _error(other) - _error(fit), _ALIKE
     better, worse = (other, fit) if difference < 0.0 else (fit, other)

@@ -23,7 +23,7 @@ from servo_daemon.diagnosis.search.fitting import Candidate
 from servo_daemon.diagnosis.search.select import Selection
 from servo_daemon.diagnosis.trial.compare import advantage, error_removed
 from servo_daemon.diagnosis.trial.data import Data, begun
-from servo_daemon.diagnosis.trial.equivalent_models import told_from_equivalent
+from servo_daemon.diagnosis.trial.equivalent_models import BY_CHANCE, told_from_equivalent
 from servo_daemon.diagnosis.trial.full_data_fit import FullDataFits
 from servo_daemon.diagnosis.trial.likelihood import far_below, far_likelier
 from servo_daemon.diagnosis.trial.model_discrepancy import longest_missing
@@ -79,7 +79,7 @@ def found_by_predictions(
     removed, ci95 = error_removed(before.errors, after.errors, after.expected)
     known = (ci95 is not None and ci95[0] > PLAINLY) or is_determined(best.name, published)
     richer = (best.name, *CONTAINED.get(best.name, ()))
-    ties = tuple(c.name for c, fit in likely if c.name not in richer and not far_likelier(extended, fit))
+    ties = tuple(c.name for c, fit in likely if c.name not in richer and _as_likely(fit, extended))
     finding = Finding(
         judged_by="predictions",
         effects=(NamedEffect(best.name, removed, ties),),
@@ -150,6 +150,12 @@ def _simplest(likely: Sequence[tuple[Candidate, OutputErrorFit]]) -> tuple[Candi
         if best.name in NESTED.get(simpler.name, ()) and not far_likelier(fit, other):
             best, fit = simpler, other
     return best, fit
+
+
+def _as_likely(other: OutputErrorFit, best: OutputErrorFit) -> bool:
+    """Whether chance may make the data as much less likely under another cause; they are white under both."""
+    assert other.deviance is not None and best.deviance is not None
+    return other.deviance < best.deviance + BY_CHANCE
 
 
 def _score(errors: Scored, channels: Sequence[str]) -> HeldOut:

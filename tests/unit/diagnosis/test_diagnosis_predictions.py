@@ -83,11 +83,16 @@ def test_what_is_far_likelier_and_not_known_has_no_name(monkeypatch: pytest.Monk
     """A sensor's gain of 1.2 made 0.20 ± 0.11 of a load-dependent friction likelier by 198."""
     fit = SimpleNamespace(white=True, deviance=-1000.0, deviance_at_best=0.0, problem=SimpleNamespace(channels=()))
     best = SimpleNamespace(name="load_dependent_friction", trial=None, start={})
+    # 3 σ, squared, is what chance makes; 21 was a step of R beside a winding's heat, which it was
+    others = [
+        (SimpleNamespace(name=name), SimpleNamespace(deviance=deviance, deviance_at_best=deviance))
+        for name, deviance in (("drive_lag", -995.0), ("resistance_step", -979.0))
+    ]
     errors = SimpleNamespace(errors=None, expected=SimpleNamespace(nrmse=0.0))
     replaced = {
         "_begun": lambda data, _effects: data,
         "FullDataFits": lambda _data: SimpleNamespace(of=lambda _trial: fit),
-        "_likely": lambda *_: [(best, fit)],
+        "_likely": lambda *_: [(best, fit), *others],
         "_fitted": lambda *_: fit,
         "predictions_of_both": lambda *_: (errors, errors),
         "error_removed": lambda *_: (0.09, (0.07, 0.12)),
@@ -104,3 +109,5 @@ def test_what_is_far_likelier_and_not_known_has_no_name(monkeypatch: pytest.Monk
         cast(Data, data), cast(Selection, SimpleNamespace(base=base)), (), cast(FullDataFits, fits)
     )
     assert (finding is not None) == known
+    if finding is not None:
+        assert [(e.name, e.equivalent) for e in finding.effects] == [(best.name, ("drive_lag",))]
