@@ -211,15 +211,28 @@ def _torque_gain(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64]
 
 
 def _settle(problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], below: float) -> _End | None:
+    """Where the search ends; None if it does not come below the value.
+
+    By steps that are shortened where they are not better; if these do not come to rest, by damped ones, if those do.
+    Not without a current: noise of the input is not told from a torque there, and a search that follows a valley far
+    enough finds noise that passes for a load which the model lacks.
+    """
+    end = _search(problem, point, a, limits, below, damped=False)
+    if end is None or end.at_rest or "current_A" not in problem.channels:
+        return end
+    other = _search(problem, point, a, limits, below, damped=True)
+    return other if other is not None and other.at_rest else end
+
+
+def _search(
+    problem: Problem, point: Point, a: F64, limits: tuple[F64, F64], below: float, *, damped: bool
+) -> _End | None:
     """Steps of the parameters and of the noise in turn, until neither moves or none is better; None if they do not come
     below the value.
 
-    In turn, because the noise as seen from a poor estimate leads astray where the data say little. Without a current
-    steps are shortened instead of damped: noise of the input is not told from a torque there, and a search that follows
-    a valley far enough finds noise that passes for a load which the model lacks.
+    In turn, because the noise as seen from a poor estimate leads astray where the data say little.
     """
     settled, share, last, damping = False, 1.0, np.inf, 0.0
-    damped = "current_A" in problem.channels
     whitened, _ = whiten_point(problem, point, a)
     for steps in range(_STEPS):
         step, decrement = newton_step(problem, whitened)
