@@ -86,7 +86,7 @@ def test_a_brake_by_eddy_currents_is_no_stribeck_friction() -> None:
             "re40",
             "steps",
             291004,
-        ),  # … passes for noise of its sensor
+        ),  # a late current passes for noise
         ("position_dependent_friction", "clear", "gear", "steps", 240861),  # without it B is driven to nothing
         ("constant_load_torque+coulomb_friction", "clear", "gear", "reversals", 429300),  # friction one way only
         ("brush_voltage_drop", "clear", "gear", "reversals", 169485),  # its current reverses within a sample
