@@ -58,10 +58,12 @@ def unscreened(
     """
     current, rest, late = asked.current, tuple[Proposal, ...](), [*open_at_zero(asked.current)]
     hidden = has_no_current(current)
-    unknown = asked.first and current.problem.plant.drive == "voltage" and _is_unknown(asked, whole)
+    left = promised_by(screened) > PROMISING or (current.independent < COLOURED and not asked.noise_is_left)
+    matters = asked.first and current.problem.plant.drive == "voltage" and (left or not hidden)
+    unknown = matters and _is_unknown(asked, whole)
     if hidden or unknown:
         late += late_signals(current)
-    if promised_by(screened) > PROMISING or (current.independent < COLOURED and not asked.noise_is_left):
+    if left:
         rest = whatever(current, screened, asked.missing, worth=-math.inf if hidden and unknown else 0.0)
     others = [p for p in rest if p.name not in {q.name for q in late}]
     return [p for p in (*others, *late) if p.name not in {q.name for q in proposed}]

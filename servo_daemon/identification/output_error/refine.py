@@ -47,7 +47,6 @@ from servo_daemon.identification.output_error.solver.solver import (
     Point,
     normal_equations,
     point_of,
-    within,
 )
 from servo_daemon.identification.output_error.whitened_point import whiten_point, whitened_value
 from servo_daemon.samples import F64
@@ -147,12 +146,9 @@ def with_lost_seen(problem: Problem, point: Point, log_variance: F64) -> Point |
     lost = problem.logarithmic & (known > 0.0) & (known < FAINT)
     if not lost.any():
         return None
-    unknowns = point.unknowns.copy()
-    unknowns[lost] -= 0.5 * np.log(known[lost])
-    unknowns = within(problem, unknowns)
-    with np.errstate(over="ignore", invalid="ignore"):
-        linear = linearise(problem, unknowns)
-    return point_of(problem, unknowns, linear, point.weights) if linear.finite else None
+    step = np.zeros(len(known))
+    step[lost] = -0.5 * np.log(known[lost])
+    return moved_by(problem, point, step)
 
 
 @dataclass(frozen=True, slots=True)
